@@ -1,0 +1,88 @@
+# `make book` and `make test` do everything, starting from an empty clone.
+
+PYTHON ?= python3
+SCALE  := $(or $(OFFAIRL_SCALE),demo)
+
+BIN   := .venv/bin
+ENV   := .venv/.installed
+STAGE := build/$(SCALE)
+HTML  := _build/html
+
+# A chapter is run again when it, the package, a record or the environment has changed, at each
+# scale apart. (The usual execution caches look at the notebook alone.)
+CHAPTERS := $(wildcard book/*.ipynb)
+SOURCES  := $(shell find offairl_lite book/records -type f -not -name '*.pyc' 2>/dev/null)
+RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
+
+# No cell may take longer than ten minutes, except at full scale.
+EXECUTE := --nbmake --overwrite --nbmake-kernel=python3 \
+           --nbmake-timeout=$(if $(filter full,$(SCALE)),-1,600)
+
+# One thread: small networks gain nothing from more, and curves do not depend on the machine's
+# cores. Chapters can then be run side by side: `make -j2 book`.
+export OMP_NUM_THREADS ?= 1
+export IPYTHONDIR := $(CURDIR)/build/ipython
+
+.PHONY: help book stage html test system clean
+
+help:
+	@echo 'make book    run every chapter that has changed and render the book'
+	@echo 'make test    run all checks: style, package, chapters, rendered book, browser'
+	@echo 'make system  install Chromium, which the browser checks need (Debian, Ubuntu; as root)'
+	@echo 'make clean   remove everything the commands above have made'
+
+book: $(RUN)
+	@$(MAKE) --no-print-directory html
+	@echo 'The book is ready. Open $(CURDIR)/$(HTML)/index.html'
+
+$(STAGE)/%.run: % $(SOURCES) $(ENV) | stage
+	@cp $< $(STAGE)/$<
+	$(BIN)/pytest -q --no-header $(EXECUTE) $(STAGE)/$<
+	@touch $@
+
+# All of the book but the chapters, which are executed in the staging folder; and a profile that
+# keeps the kernels' start-up notices out of the output.
+stage:
+	@mkdir -p $(STAGE) build/ipython/profile_default
+	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints book _config.yml _toc.yml | tar -xf - -C $(STAGE)
+	@echo 'c.IPKernelApp.log_level = 40' > build/ipython/profile_default/ipython_kernel_config.py
+
+# Render the chapters as executed. A warning is an error, the next time too: forget what was read.
+html: $(ENV) stage
+	$(BIN)/jupyter-book build $(STAGE) --path-output . -W --keep-going -q \
+	  || { rm -rf _build/.doctrees; exit 1; }
+
+# Tests trust no earlier run: every chapter is executed afresh, once, and that is what is rendered.
+test: $(ENV)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	@rm -rf $(STAGE) _build
+	@$(MAKE) --no-print-directory stage
+	@cp $(CHAPTERS) $(STAGE)/book
+	$(BIN)/pytest -rs tests $(STAGE)/book $(EXECUTE) --book $(STAGE)
+	@touch $(RUN)
+
+$(ENV): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null \
+	  || { echo '$(PYTHON) not found: install Python 3.11 or newer, or name one: make PYTHON=/path/to/python' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "$$($(PYTHON) --version) is too old: Python 3.11 or newer is needed: make PYTHON=/path/to/python" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
+	  || { echo '$(PYTHON) has no venv module: install it (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
+	@echo 'Installing into .venv; the first time takes some minutes.'
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+system:
+	@if command -v chromium >/dev/null || command -v google-chrome >/dev/null; then :; \
+	elif ! command -v apt-get >/dev/null; then \
+	  echo 'make system knows apt only: install Chromium or Google Chrome by hand.' >&2; exit 1; \
+	elif [ "$$(id -u)" != 0 ]; then \
+	  echo 'Chromium is installed as root: sudo make system' >&2; exit 1; \
+	else \
+	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null; \
+	fi
+
+clean:
+	rm -rf build _build .venv

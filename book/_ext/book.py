@@ -1,0 +1,49 @@
+"""What the book asks of Sphinx beyond its configuration."""
+
+import re
+from pathlib import Path
+
+from docutils import nodes
+from sphinx_external_toc.collectors import TocTreeCollectorWithStyles
+
+# Thebe would run cells on a server, and its script names a content network. Preloaded fonts are
+# refused by browsers when a page is opened as a file (and are then loaded as usual).
+UNWANTED = re.compile(
+    r"""<script[^>]*>[^<]*\bTHEBE_JS_URL\b.*?</script>"""
+    r"""|<script[^>]*sphinx-thebe\.js.*?</script>"""
+    r"""|<script type="text/x-thebe-config">.*?</script>"""
+    r"""|<script>kernelName\b.*?</script>"""
+    r"""|<link[^>]*rel="preload" as="font"[^>]*>""",
+    re.DOTALL,
+)
+
+
+def make_offline(app, exception):
+    """Leave out what needs a network or a server, so that pages open without complaint as files."""
+    for page in Path(app.outdir).rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        kept = UNWANTED.sub("", text)
+        if kept != text:
+            page.write_text(kept, encoding="utf-8")
+
+
+def assign_section_numbers(
+    collector, env, assign=TocTreeCollectorWithStyles.assign_section_numbers
+):
+    """Make 05_….ipynb chapter 5 also while an earlier chapter is still missing from the book."""
+    rewritten = assign(collector, env)
+    for page, numbers in env.toc_secnumbers.items():
+        chapter = Path(page).name.split("_")[0]
+        if chapter.isdecimal():
+            for heading in [env.titles[page], *env.tocs[page].findall(nodes.reference)]:
+                heading["secnumber"] = [int(chapter), *heading["secnumber"][1:]]
+            for anchor, number in numbers.items():
+                numbers[anchor] = (int(chapter), *number[1:])
+    return rewritten
+
+
+def setup(app):
+    """Register with Sphinx."""
+    TocTreeCollectorWithStyles.assign_section_numbers = assign_section_numbers
+    app.connect("build-finished", make_offline)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

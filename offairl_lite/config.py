@@ -1,0 +1,202 @@
+"""Everything that a run depends on, in one frozen dataclass, and the three presets.
+
+`PAPER` is the text of the paper, `RELEASE` what its released code optimises, `CORRECTED` the
+mathematics done right. What the paper leaves unsaid is filled in from the released code.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args, get_origin
+
+RewardName = Literal[
+    "implementation-1",
+    "implementation-2",
+    "implementation-3",
+    "implementation-4",
+    "dac",
+    "environment",
+    "frozen",
+]
+
+
+@dataclass(frozen=True)
+class Config:
+    """One run: the task, the reward, the learners and the schedule.
+
+    The defaults are the preset `CORRECTED` at the paper's scale.
+    """
+
+    env_id: str = "offairl/PointMazeLeft-v0"
+    """Gymnasium id of the task; observations and actions must be boxes."""
+
+    reward: RewardName = "implementation-4"
+    """What the generator maximises: a variant of the paper's reward, DAC's, the task's own
+    (plain reinforcement learning), or a reward learned before and now frozen (transfer)."""
+
+    generator: Literal["sac", "td3"] = "sac"
+    """The off-policy learner. TD3 is deterministic, so it has no log π and cannot serve AIRL."""
+
+    total_steps: int = 1_000_000
+    """Environment steps of each member."""
+
+    warmup_steps: int = 10_000
+    """Steps of uniform random actions. Their updates are made up for when they are over."""
+
+    warmup_hold: float = 1.0
+    """Mean number of steps for which a warm-up action is held; 1 draws a fresh one every step."""
+
+    update_every: int | None = None
+    """Environment steps between training blocks, each of as many updates of the discriminator and
+    then of the generator. None: the end of the episode, as in Algorithm 1."""
+
+    batch_size: int = 100
+    """Transitions from the demonstrations, and as many from replay, in one update."""
+
+    replay_size: int = 1_000_000
+    """Transitions kept for each member; the oldest are overwritten."""
+
+    discount: float = 0.99
+    """γ of the generator."""
+
+    hidden: tuple[int, ...] = (400, 300)
+    """Hidden layers of actor and critics, ReLU."""
+
+    learning_rate: float = 1e-3
+    """Adam's, for actor, critics and temperature."""
+
+    target_rate: float = 0.005
+    """τ: the share of the critics that enters their targets after each update of the actor."""
+
+    actor_delay: int = 2
+    """Critic updates for one update of the actor and the targets."""
+
+    temperature: float | None = 0.2
+    """SAC's α. None: learned from 0.2 on, for a policy entropy of `target_entropy`."""
+
+    target_entropy: float | None = None
+    """Entropy, in nats, that a learned temperature holds. None: minus the number of actions."""
+
+    log_std_range: tuple[float, float] = (-5.0, 2.0)
+    """Bounds of the actor's log σ, approached smoothly."""
+
+    reward_scale: float = 1.0
+    """Factor on the generator's reward; the returns reported are without it."""
+
+    log_density: Literal["exact", "released"] = "exact"
+    """Density of a squashed action in the discriminator. `released`: the Gaussian density taken
+    at the squashed action, without the tanh's Jacobian."""
+
+    policy_in_logit: bool = True
+    """Whether the loss is that of D = e^f / (e^f + π), with logit f - log π. False: the released
+    loss, whose gradient is that of D = σ(f)."""
+
+    discriminator_discount: float = 0.99
+    """γ in f(s, a, s') = r + γ V(s') - V(s)."""
+
+    reward_hidden: tuple[int, ...] = (100, 100)
+    """Hidden layers of r."""
+
+    shaping_hidden: tuple[int, ...] = (100, 100)
+    """Hidden layers of V."""
+
+    discriminator_activation: Literal["tanh", "relu"] = "tanh"
+    """Activation in r and V."""
+
+    discriminator_learning_rate: float = 1e-3
+    """Adam's, for r and V."""
+
+    gradient_penalty: float = 10.0
+    """Weight of the penalty (‖∇‖ - 1)²."""
+
+    penalty_on: Literal["logit", "probability"] = "logit"
+    """What the penalty differentiates: the learned part of the logit, by all it sees, at one
+    random point between an expert's and a policy's transition; or, as released, the probability
+    D, by the state alone, with a coefficient of its own for each of s, a, s' and log π."""
+
+    absorbing: Literal["none", "bootstrap", "analytic"] = "none"
+    """What follows a termination: nothing; an absorbing state that loops (DAC); or the loop's
+    return in closed form (the paper's R_T)."""
+
+    normalise: bool = True
+    """Whether networks see observations scaled by fixed statistics: the demonstrations', or the
+    warm-up's where there are none."""
+
+    eval_every: int = 5_000
+    """Environment steps between evaluations."""
+
+    eval_episodes: int = 10
+    """Episodes, with the policy's mode, of one evaluation."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value, kind = getattr(self, field.name), field.type
+            if get_origin(kind) is Literal and value not in get_args(kind):
+                raise ValueError(f"{field.name} is {value!r}; expected one of {get_args(kind)}")
+        for name in _POSITIVE:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; expected a positive number")
+        for name in ("discount", "discriminator_discount", "target_rate"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
+        if self.warmup_hold < 1:
+            raise ValueError(f"warmup_hold is {self.warmup_hold!r}; expected at least 1 step")
+        if self.generator == "td3" and self.reward.startswith("implementation"):
+            raise ValueError(
+                f"reward {self.reward!r} needs log π, and td3's policy is deterministic: "
+                "use generator='sac', or reward='dac'"
+            )
+        if self.absorbing != "none" and self.reward == "environment":
+            raise ValueError(
+                f"absorbing={self.absorbing!r} is for learned rewards; the task's own reward is "
+                "known to end with the episode: set absorbing='none'"
+            )
+        if self.absorbing == "analytic" and self.discount == 1:
+            raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
+
+    @property
+    def learns_reward(self) -> bool:
+        """Whether a discriminator is trained."""
+        return self.reward not in ("environment", "frozen")
+
+
+_POSITIVE = (
+    "total_steps",
+    "warmup_steps",
+    "batch_size",
+    "replay_size",
+    "learning_rate",
+    "actor_delay",
+    "reward_scale",
+    "discriminator_learning_rate",
+    "eval_every",
+    "eval_episodes",
+)
+
+
+CORRECTED = Config()
+"""Expert label 1, logit f - log π with the exact squashed density, inputs normalised."""
+
+PAPER = Config(normalise=False)
+"""The text of the paper. It differs from `CORRECTED` where the text is silent or wrong: inputs
+are left as the task gives them."""
+
+RELEASE = Config(
+    hidden=(256, 256),
+    temperature=None,
+    log_std_range=(-20.0, 2.0),
+    log_density="released",
+    policy_in_logit=False,
+    discriminator_discount=0.9,
+    reward_hidden=(256, 256),
+    shaping_hidden=(100, 100),
+    discriminator_activation="relu",
+    penalty_on="probability",
+    normalise=False,
+)
+"""What the released code optimises; its absorbing vectors and orthogonal initialisation are not
+reproduced."""
+
+
+def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
+    """Return the fields in which two configurations differ, with both values."""
+    pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Config)}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}

@@ -1,0 +1,217 @@
+"""Expert demonstrations: loaded from Minari, checked, or made on first use by shipped experts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium
+import minari
+import numpy as np
+import torch
+from minari.data_collector.episode_buffer import EpisodeBuffer
+from tqdm.auto import tqdm
+
+from offairl_lite.evaluate import rollout
+from offairl_lite.policies import Policy, unsquash
+from offairl_lite.replay import Batch
+
+EXPERTS = Path(__file__).parent / "experts"
+PURPOSE = 1
+"""Sets the episodes of a data set apart from those of evaluations (`evaluate.episode_seeds`)."""
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Whole episodes of an expert, as transitions.
+
+    Args:
+        env_id: the task.
+        transitions: axes `N`, in order, with actions scaled to [-1, 1].
+        lengths: steps of each episode.
+    """
+
+    env_id: str
+    transitions: Batch
+    lengths: tuple[int, ...]
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Undiscounted return of each episode."""
+        return np.array([part.sum() for part in self.transitions.reward.split(self.lengths)])
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+
+def expert(env_id: str) -> Policy:
+    """Return the shipped experts of a task, best first.
+
+    Raises:
+        FileNotFoundError: none is shipped for it; the message lists the tasks that have some.
+    """
+    path = EXPERTS / f"{short_name(env_id)}.safetensors"
+    if not path.is_file():
+        have = ", ".join(sorted(file.stem for file in EXPERTS.glob("*.safetensors"))) or "none yet"
+        raise FileNotFoundError(
+            f"no expert is shipped for {env_id} (there are: {have}); pass the id of a Minari data "
+            "set of your own, or train an expert with reward='environment'"
+        )
+    return Policy.load(path)
+
+
+def short_name(env_id: str) -> str:
+    """Return `PointMazeLeft` for `offairl/PointMazeLeft-v0`."""
+    return env_id.split("/")[-1].rsplit("-v", 1)[0]
+
+
+def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> Demonstrations:
+    """Return demonstrations of a task from Minari's local storage.
+
+    Without `dataset_id` they are the shipped experts' own, made the first time and then kept: a
+    trajectory is always the same, whether 5 are asked for or 50.
+
+    Args:
+        env_id: the task.
+        trajectories: how many episodes to take, from the first on.
+        dataset_id: a data set of your own, as `minari.list_local_datasets()` names it.
+
+    Raises:
+        FileNotFoundError: there is no such data set, and no expert to make it.
+        ValueError: the data set does not fit the task; says what was expected and what was found.
+    """
+    if trajectories < 1:
+        raise ValueError(f"trajectories is {trajectories}; expected at least 1")
+    if dataset_id is None:
+        dataset_id = f"offairl/{short_name(env_id)}/experts-{trajectories}-v0"
+        if dataset_id not in minari.list_local_datasets():
+            generate(env_id, trajectories, dataset_id)
+    elif dataset_id not in minari.list_local_datasets():
+        known = ", ".join(minari.list_local_datasets()) or "no data set at all"
+        raise FileNotFoundError(
+            f"Minari has no local data set {dataset_id!r}; here are: {known}. "
+            "Download one with `minari download`, or write one with minari.DataCollector"
+        )
+    return from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
+
+
+def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
+    """Write a Minari data set of the shipped experts' episodes, shared out evenly among them.
+
+    Actions are sampled, as maximum-entropy experts act. Episode `i` is the `i // n`-th of expert
+    `i % n`.
+
+    Raises:
+        FileNotFoundError: no expert is shipped for the task.
+    """
+    policy = expert(env_id)
+    rounds = -(-trajectories // len(policy))
+    buffer: list[EpisodeBuffer] = []
+    with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
+        seeds = range(len(policy))
+        made = rollout(policy, env_id, seeds, rounds, sample=True, purpose=PURPOSE)
+        for e in range(rounds):
+            for member in range(min(len(policy), trajectories - e * len(policy))):
+                length = made.lengths[member, e]
+                ended = np.zeros(length, bool)
+                ended[-1] = made.terminated[member, e]
+                cut = np.zeros(length, bool)
+                cut[-1] = not ended[-1]
+                obs = made.obs[member, e, :length]
+                last = made.next_obs[member, e, length - 1 : length]
+                buffer.append(
+                    EpisodeBuffer(
+                        id=len(buffer),
+                        observations=np.concatenate([obs, last]),
+                        actions=made.action[member, e, :length],
+                        rewards=made.reward[member, e, :length].tolist(),
+                        terminations=ended.tolist(),
+                        truncations=cut.tolist(),
+                    )
+                )
+                bar.update()
+    minari.create_dataset_from_buffers(
+        dataset_id,
+        buffer,
+        env=env_id,
+        algorithm_name="SAC",
+        description=f"Episodes of the {len(policy)} shipped experts of {env_id}.",
+    )
+
+
+def from_minari(
+    dataset: minari.MinariDataset, env_id: str, trajectories: int | None = None
+) -> Demonstrations:
+    """Check a Minari data set against a task and return its transitions.
+
+    Raises:
+        ValueError: shapes, ranges, finiteness or episode ends are not what the task makes them.
+    """
+    env = gymnasium.make(env_id)
+    obs_space, action_space = env.observation_space, env.action_space
+    env.close()
+    name = dataset.spec.dataset_id
+    if trajectories is not None and dataset.total_episodes < trajectories:
+        raise ValueError(
+            f"{name}: {trajectories} trajectories were asked for; it has {dataset.total_episodes}"
+        )
+    indices = None if trajectories is None else range(trajectories)
+    parts = []
+    for episode in dataset.iterate_episodes(indices):
+        _check(episode, f"{name}, episode {episode.id}", obs_space, action_space)
+        parts.append(_transitions(episode, action_space))
+    transitions = Batch(*(torch.cat(column) for column in zip(*parts, strict=True)))
+    return Demonstrations(env_id, transitions, tuple(len(part.reward) for part in parts))
+
+
+def _check(
+    episode: minari.EpisodeData,
+    where: str,
+    obs_space: gymnasium.spaces.Box,
+    action_space: gymnasium.spaces.Box,
+) -> None:
+    steps = len(episode.rewards)
+    _expect(steps > 0, where, "at least one step", "none")
+    expected = {
+        "observations": (episode.observations, (steps + 1, *obs_space.shape)),
+        "actions": (episode.actions, (steps, *action_space.shape)),
+        "rewards": (episode.rewards, (steps,)),
+    }
+    for part, (array, shape) in expected.items():
+        found = getattr(array, "shape", type(array).__name__)
+        _expect(found == shape, where, f"{part} of shape {shape}", found)
+        bad = np.argwhere(~np.isfinite(array))
+        _expect(
+            len(bad) == 0, where, f"finite {part}", f"{len(bad)} that are not, first at {bad[:1]}"
+        )
+    low, high = action_space.low - 1e-5, action_space.high + 1e-5
+    inside = (episode.actions >= low).all() and (episode.actions <= high).all()
+    found = f"{episode.actions.min():.6g} to {episode.actions.max():.6g}"
+    _expect(inside, where, f"actions in [{action_space.low}, {action_space.high}]", found)
+    ends = np.flatnonzero(np.asarray(episode.terminations) | np.asarray(episode.truncations))
+    _expect(
+        ends.tolist() == [steps - 1],
+        where,
+        f"one end, terminated or truncated, at its last step ({steps - 1})",
+        f"ends at {ends.tolist()}",
+    )
+
+
+def _expect(met: bool, where: str, expected: str, found: object) -> None:
+    if not met:
+        raise ValueError(f"{where}: expected {expected}; found {found}")
+
+
+def _transitions(episode: minari.EpisodeData, action_space: gymnasium.spaces.Box) -> Batch:
+    low, high = action_space.low, action_space.high
+    action = 2 * (np.asarray(episode.actions) - low) / (high - low) - 1
+
+    def tensor(array: Sequence | np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=torch.float32)
+
+    return Batch(
+        tensor(episode.observations[:-1]),
+        unsquash(tensor(action)),
+        tensor(episode.observations[1:]),
+        tensor(episode.rewards),
+        tensor(episode.terminations),
+    )

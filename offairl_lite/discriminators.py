@@ -1,0 +1,275 @@
+r"""The discriminator: AIRL's, which contains a reward, and DAC's, which is one.
+
+It tells the expert's transitions (label 1) from the policy's (label 0). AIRL's logit is
+
+$$\ell = f(s, a, s') - \log \pi(a|s), \qquad f = r_\psi + \gamma V_\omega(s') - V_\omega(s),$$
+
+with $r_\psi(s)$ or $r_\psi(s, a)$. DAC's is the special case $\ell = r_\psi(s, a)$: no
+shaping, no log π.
+"""
+
+from dataclasses import dataclass
+from os import PathLike
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from offairl_lite.config import Config
+from offairl_lite.networks import (
+    Normaliser,
+    StackedMLP,
+    adam,
+    descend,
+    load_weights,
+    save_weights,
+)
+from offairl_lite.replay import Batch
+from offairl_lite.rewards import IMPLEMENTATIONS, log_odds
+from offairl_lite.streams import Streams
+
+
+def shaped_reward(
+    r: Float[Tensor, "*batch"],
+    value: Float[Tensor, "*batch"],
+    next_value: Float[Tensor, "*batch"],
+    discount: float,
+) -> Float[Tensor, "*batch"]:
+    """Return f = r + γ V(s') - V(s) (Fu et al. 2018, equation 4)."""
+    return r + discount * next_value - value
+
+
+def binary_cross_entropy(
+    expert_logit: Float[Tensor, "S B"], policy_logit: Float[Tensor, "S B"]
+) -> Float[Tensor, "S"]:
+    """Return -E_expert log D - E_policy log(1 - D), for D = σ(logit)."""
+    return (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
+
+
+def gradient_penalty(square: Float[Tensor, "S B"]) -> Float[Tensor, "S"]:
+    """Return E (‖∇‖ - 1)², from ‖∇‖² (Gulrajani et al. 2017)."""
+    # The root's slope at 0 must be finite.
+    return ((square + 1e-12).sqrt() - 1).square().mean(-1)
+
+
+@dataclass(frozen=True)
+class Reward:
+    """A population of learned rewards, frozen: r(s) or r(s, a).
+
+    Args:
+        env_id: the task it was learned on.
+        net: the architecture.
+        state_only: whether it sees the state alone.
+        params: its weights.
+        normaliser: how it scales observations.
+    """
+
+    env_id: str
+    net: StackedMLP
+    state_only: bool
+    params: Float[Tensor, "S P"]
+    normaliser: Normaliser
+
+    def __len__(self) -> int:
+        return len(self.params)
+
+    def member(self, *index: int) -> "Reward":
+        """Return the population of these members alone."""
+        rows = list(index)
+        normaliser = Normaliser(*(part[rows] for part in self.normaliser))
+        return Reward(self.env_id, self.net, self.state_only, self.params[rows], normaliser)
+
+    @torch.no_grad()
+    def __call__(
+        self, obs: Float[Tensor, "S B O"], action: Float[Tensor, "S B A"] | None = None
+    ) -> Float[Tensor, "S B"]:
+        """Return r; `action` may be left out of a reward of the state alone."""
+        obs = self.normaliser(obs)
+        x = obs if self.state_only else torch.cat([obs, action], -1)
+        return self.net(self.params, x).squeeze(-1)
+
+    def save(self, path: str | PathLike) -> None:
+        """Write the population to a safetensors file."""
+        save_weights(
+            path,
+            {"params": self.params, "mean": self.normaliser.mean, "std": self.normaliser.std},
+            {
+                "kind": "reward",
+                "env_id": self.env_id,
+                "state_only": self.state_only,
+                "sizes": self.net.sizes,
+                "activation": self.net.activation,
+            },
+        )
+
+    @classmethod
+    def load(cls, path: str | PathLike) -> "Reward":
+        """Read a population written by `save`.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file holds something else.
+        """
+        tensors, about = load_weights(path, "reward")
+        net = StackedMLP(tuple(about["sizes"]), about["activation"])
+        normaliser = Normaliser(tensors["mean"], tensors["std"])
+        return cls(about["env_id"], net, about["state_only"], tensors["params"], normaliser)
+
+
+class Discriminator:
+    """r and V of `S` members, and how they are trained.
+
+    Args:
+        config: hyper-parameters; `config.reward` chooses the variant.
+        obs_dim: O, with the absorbing indicator where there is one.
+        action_dim: A.
+        streams: for the initial weights.
+        normaliser: scales every observation that comes in. The penalty holds ‖∇‖ near 1 in the
+            coordinates that it gives, so their scale is part of the algorithm.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        obs_dim: int,
+        action_dim: int,
+        streams: Streams,
+        normaliser: Normaliser,
+    ) -> None:
+        self.config, self.normaliser = config, normaliser
+        self.is_airl = config.reward in IMPLEMENTATIONS
+        self.state_only = self.is_airl and IMPLEMENTATIONS[config.reward].state_only
+        inputs = obs_dim if self.state_only else obs_dim + action_dim
+        activation = config.discriminator_activation
+        self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), activation)
+        self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), activation)
+        self.reward_params = self.reward_net.init(streams)
+        self.value_params = self.value_net.init(streams)
+        self.reward_optimizer = adam(self.reward_params, config.discriminator_learning_rate)
+        self.value_optimizer = adam(self.value_params, config.discriminator_learning_rate)
+
+    def f(
+        self,
+        obs: Float[Tensor, "S B O"],
+        action: Float[Tensor, "S B A"],
+        next_obs: Float[Tensor, "S B O"],
+    ) -> Float[Tensor, "S B"]:
+        """Return f(s, a, s') of normalised observations; DAC's logit has no shaping."""
+        x = obs if self.state_only else torch.cat([obs, action], -1)
+        r = self.reward_net(self.reward_params, x).squeeze(-1)
+        if not self.is_airl:
+            return r
+        values = self.value_net(self.value_params, torch.cat([obs, next_obs], 1)).squeeze(-1)
+        value, next_value = values.chunk(2, 1)
+        return shaped_reward(r, value, next_value, self.config.discriminator_discount)
+
+    def f_and_gradients(
+        self,
+        obs: Float[Tensor, "S B O"],
+        action: Float[Tensor, "S B A"],
+        next_obs: Float[Tensor, "S B O"],
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return f and its gradients by s, a and s'."""
+        x = obs if self.state_only else torch.cat([obs, action], -1)
+        r, by_x = self.reward_net.value_and_input_gradient(self.reward_params, x)
+        by_obs, by_action = by_x[..., : obs.shape[-1]], by_x[..., obs.shape[-1] :]
+        if not self.is_airl:
+            return r, by_obs, by_action, torch.zeros_like(by_obs)
+        states = torch.cat([obs, next_obs], 1)
+        values, slopes = self.value_net.value_and_input_gradient(self.value_params, states)
+        (value, next_value), (slope, next_slope) = values.chunk(2, 1), slopes.chunk(2, 1)
+        discount = self.config.discriminator_discount
+        f = shaped_reward(r, value, next_value, discount)
+        return f, by_obs - slope, by_action, discount * next_slope
+
+    def loss(
+        self,
+        expert: Batch,
+        policy: Batch,
+        expert_log_prob: Float[Tensor, "S B"] | None,
+        policy_log_prob: Float[Tensor, "S B"] | None,
+        coefficient: Float[Tensor, "S B 4"],
+    ) -> tuple[Float[Tensor, ""], dict[str, Float[Tensor, "S"]]]:
+        """Return cross-entropy plus weighted penalty, and diagnostics of each member.
+
+        Args:
+            expert: demonstrations.
+            policy: transitions from replay.
+            expert_log_prob: log π of the expert's actions; None for DAC.
+            policy_log_prob: log π of the policy's actions; None for DAC.
+            coefficient: uniform in [0, 1): where between both the penalty is taken. The first
+                column serves for all parts of a transition, or, where the penalty is on the
+                probability, each column for its own (s, a, s', log π).
+        """
+        sides = [
+            (self.normaliser(b.obs), b.action, self.normaliser(b.next_obs))
+            for b in (expert, policy)
+        ]
+        f = self.f(*(torch.cat(parts, 1) for parts in zip(*sides, strict=True)))
+        expert_f, policy_f = f.chunk(2, 1)
+        on_probability = self.config.penalty_on == "probability"
+        part = coefficient.unbind(-1) if on_probability else [coefficient[..., 0]] * 4
+        mixed = [
+            torch.lerp(p, e, c.unsqueeze(-1)) for e, p, c in zip(*sides, part[:3], strict=True)
+        ]
+        mixed_f, by_obs, by_action, by_next_obs = self.f_and_gradients(*mixed)
+
+        expert_logit, policy_logit, mixed_logit = expert_f, policy_f, mixed_f
+        if self.is_airl:
+            mixed_logit = log_odds(mixed_f, torch.lerp(policy_log_prob, expert_log_prob, part[3]))
+        if self.is_airl and self.config.policy_in_logit:
+            expert_logit = log_odds(expert_f, expert_log_prob)
+            policy_logit = log_odds(policy_f, policy_log_prob)
+
+        square = by_obs.square().sum(-1)
+        if on_probability:
+            d = torch.sigmoid(mixed_logit)
+            square = square * (d * (1 - d)).square()
+        else:
+            square = square + by_action.square().sum(-1) + by_next_obs.square().sum(-1)
+        cross_entropy = binary_cross_entropy(expert_logit, policy_logit)
+        penalty = gradient_penalty(square)
+        metrics = {
+            "cross_entropy": cross_entropy.detach(),
+            "penalty": penalty.detach(),
+            "expert_logit": expert_logit.detach().mean(-1),
+            "policy_logit": policy_logit.detach().mean(-1),
+            "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
+        }
+        return (cross_entropy + self.config.gradient_penalty * penalty).sum(), metrics
+
+    def update(
+        self,
+        expert: Batch,
+        policy: Batch,
+        expert_log_prob: Float[Tensor, "S B"] | None,
+        policy_log_prob: Float[Tensor, "S B"] | None,
+        coefficient: Float[Tensor, "S B 4"],
+    ) -> dict[str, Float[Tensor, "S"]]:
+        """Take one step down `loss`; return its diagnostics."""
+        loss, metrics = self.loss(expert, policy, expert_log_prob, policy_log_prob, coefficient)
+        if self.is_airl:
+            descend(loss, self.reward_optimizer, self.value_optimizer)
+        else:
+            descend(loss, self.reward_optimizer)
+        return metrics
+
+    @torch.no_grad()
+    def reward(self, batch: Batch, log_prob: Float[Tensor, "S B"] | None) -> Float[Tensor, "S B"]:
+        """Return the generator's reward: r, or log D - log(1 - D) (`rewards.IMPLEMENTATIONS`).
+
+        Args:
+            batch: transitions.
+            log_prob: log π of their actions; only Implementations 1 and 2 look at it.
+        """
+        if self.is_airl and IMPLEMENTATIONS[self.config.reward].reward_is_logit:
+            f = self.f(self.normaliser(batch.obs), batch.action, self.normaliser(batch.next_obs))
+            return log_odds(f, log_prob)
+        return self.frozen(batch.obs, batch.action)
+
+    @property
+    def frozen(self) -> Reward:
+        """r as it is now; later updates do not change it."""
+        params, env_id = self.reward_params.detach().clone(), self.config.env_id
+        return Reward(env_id, self.reward_net, self.state_only, params, self.normaliser)

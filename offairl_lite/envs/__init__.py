@@ -1,0 +1,150 @@
+"""Environments: the paper's eight tasks, stepped in batches, and any other Gymnasium task.
+
+Importing this package registers its own tasks, so that `gymnasium.make` and `gymnasium.make_vec`
+know them:
+
+- `offairl/PointMazeLeft-v0`, `offairl/PointMazeRight-v0`: the shifting maze;
+- `offairl/CustomAnt-v0`, `offairl/DisabledAnt-v0`: the ant, and the ant with two weak legs;
+- `offairl/DisabledAntReleased-v0`: the latter with its actuators in the order of the released code.
+"""
+
+import math
+from collections.abc import Sequence
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.wrappers.vector import RescaleAction
+
+from offairl_lite.envs.batched import BatchedEnv
+from offairl_lite.envs.tasks import TASKS
+
+__all__ = ["TASKS", "BatchedEnv", "SingleEnv", "make"]
+
+
+class SingleEnv(gymnasium.Env):
+    """One member of a task as an ordinary Gymnasium environment, without a time limit.
+
+    Args:
+        task: a key of `TASKS`.
+        render_mode: None or `"rgb_array"`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(self, task: str, render_mode: str | None = None):
+        # Gymnasium's TimeLimit, which `gymnasium.make` adds, is the only clock.
+        self._members = BatchedEnv(
+            task,
+            autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
+            max_episode_steps=math.inf,
+        )
+        self.render_mode = render_mode
+        self.action_space = self._members.single_action_space
+        self.observation_space = self._members.single_observation_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict | None = None
+    ) -> tuple[np.ndarray, dict]:
+        """Start a new episode; `options` are not used."""
+        super().reset(seed=seed)
+        self._members.np_random = (self.np_random,)
+        observations, info = self._members.reset()
+        return observations[0], info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Advance by one step; `action` is (A,) and finite."""
+        observations, rewards, terminated, _, info = self._members.step(np.asarray(action)[None])
+        return observations[0], float(rewards[0]), bool(terminated[0]), False, info
+
+    def render(self) -> np.ndarray:
+        """The present frame, (height, width, 3) uint8."""
+        return self._members.render()[0]
+
+
+class _SeedFirstReset(VectorWrapper):
+    """Gives the first `reset` its seeds, as `BatchedEnv` gets them when it is made."""
+
+    def __init__(self, env: VectorEnv, seeds: list[int]):
+        super().__init__(env)
+        self._seeds = seeds
+
+    def reset(self, *, seed=None, options=None):
+        seeds, self._seeds = self._seeds, None
+        return self.env.reset(seed=seeds if seed is None else seed, options=options)
+
+
+def make(
+    env_id: str, population: int, seed: int | Sequence[int], *, num_threads: int = 1
+) -> VectorEnv:
+    """A vector environment with one member per seed, to be reset by whoever steps it.
+
+    Members start when the first `reset()` is called. A finished member must be reset, with
+    `reset(options={"reset_mask": finished})`, before the next `step`. Actions run from -1 to 1 in
+    every dimension: for an environment with other bounds they are rescaled.
+
+    Args:
+        env_id: a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
+            whose members are then stepped one by one.
+        population: number of members.
+        seed: s seeds the members with s, s + 1, ...; or a sequence of one seed per member.
+        num_threads: native threads for a task of `TASKS`; without effect on other environments.
+
+    Raises:
+        ValueError: the id is not known; its spaces are not flat (and, for actions, bounded) boxes;
+            `population` is below 1; or the number of seeds is not `population`.
+    """
+    seeds = [seed + i for i in range(population)] if isinstance(seed, int) else list(seed)
+    if population < 1 or len(seeds) != population:
+        raise ValueError(f"expected one seed for each of {population} members, got {seeds}")
+    if env_id in TASKS:
+        return BatchedEnv(
+            env_id,
+            population,
+            seeds=seeds,
+            num_threads=num_threads,
+            autoreset_mode=AutoresetMode.DISABLED,
+        )
+    try:
+        env = gymnasium.make_vec(
+            env_id,
+            num_envs=population,
+            vectorization_mode="sync",
+            vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+        )
+    except gymnasium.error.UnregisteredEnv as error:
+        raise ValueError(
+            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and whatever is "
+            "registered with Gymnasium; register your own with "
+            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv')"
+        ) from error
+    for name, space in (
+        ("observation", env.single_observation_space),
+        ("action", env.single_action_space),
+    ):
+        if not isinstance(space, Box) or len(space.shape) != 1:
+            raise ValueError(
+                f"{env_id}: the {name} space {space} is not supported; observations and actions "
+                "must each be a gymnasium.spaces.Box with one axis (see "
+                "gymnasium.wrappers.FlattenObservation)"
+            )
+    actions = env.single_action_space
+    if not actions.is_bounded():
+        raise ValueError(f"{env_id}: every action must have finite bounds, not {actions}")
+    ones = np.ones_like(actions.high)
+    if not (np.array_equal(actions.low, -ones) and np.array_equal(actions.high, ones)):
+        env = RescaleAction(env, -ones, ones)
+    return _SeedFirstReset(env, seeds)
+
+
+for _id, _task in TASKS.items():
+    if _id.startswith("offairl/"):
+        gymnasium.register(
+            _id,
+            entry_point="offairl_lite.envs:SingleEnv",
+            vector_entry_point="offairl_lite.envs:BatchedEnv",
+            max_episode_steps=_task.max_episode_steps,
+            kwargs={"task": _id},
+        )

@@ -1,0 +1,317 @@
+"""Many members of one task, stepped together by MuJoCo on native threads."""
+
+from collections.abc import Sequence
+from operator import index
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from mujoco.batch import Batch
+
+from offairl_lite.envs.raycast import render
+from offairl_lite.envs.tasks import TASKS, Physics
+
+FRAME_SIZE = 240
+"""Width and height of a rendered frame, in pixels."""
+
+
+class BatchedEnv(gymnasium.vector.VectorEnv):
+    """A vector environment whose members share a model and nothing else.
+
+    Every member has its own random generator, so its numbers do not depend on how many other
+    members there are, nor on the number of threads. Observations are float64, `(num_envs, O)`;
+    actions float32, `(num_envs, A)`. As in Gymnasium's MuJoCo tasks, an action beyond the bounds is
+    clamped by MuJoCo, and paid for in full. A member without an episode in progress (never reset,
+    or finished) is reset by `step` in mode `NEXT_STEP`, and an error in mode `DISABLED`.
+
+    Args:
+        task: a key of `TASKS`.
+        num_envs: number of members n.
+        seeds: a seed per member, as in `reset(seed=seeds)`; None takes them from the system.
+        num_threads: native threads that step the members. It does not change the numbers.
+        autoreset_mode: `AutoresetMode.NEXT_STEP` or `AutoresetMode.DISABLED`.
+        render_mode: None or `"rgb_array"`.
+        max_episode_steps: steps after which an episode is truncated; None for the task's own
+            limit, `math.inf` for none.
+
+    Raises:
+        ValueError: an argument is none of those listed, or `seeds` is not one seed per member.
+    """
+
+    # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.
+    np_random: tuple[np.random.Generator, ...] = ()
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        seeds: Sequence[int] | None = None,
+        num_threads: int = 1,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        max_episode_steps: float | None = None,
+    ):
+        if task not in TASKS:
+            raise ValueError(f"unknown task {task!r}; known are {', '.join(TASKS)}")
+        if num_envs < 1 or num_threads < 1:
+            raise ValueError(f"{num_envs=} and {num_threads=} must both be at least 1")
+        if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
+            raise ValueError(f"autoreset_mode must be NEXT_STEP or DISABLED, not {autoreset_mode}")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
+        self.task = TASKS[task]
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.max_episode_steps = (
+            self.task.max_episode_steps if max_episode_steps is None else max_episode_steps
+        )
+
+        model = self.task.model()
+        # Contact forces are computed from a member's whole MjData, which only a persistent batch
+        # keeps; without them the state row is enough, and memory grows with threads alone.
+        self._batch = Batch(model, num_envs, num_threads, persistent=self.task.contact_forces)
+        self._model = self._batch.model
+        self._scratch = mujoco.MjData(model)
+        # Live views: MuJoCo reads and writes the simulations through them.
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._ctrl, self._xpos = self._batch.bind("ctrl"), self._batch.bind("xpos")
+        self._seconds = model.opt.timestep * self.task.frame_skip
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": round(1 / self._seconds),
+            "autoreset_mode": autoreset_mode,
+        }
+
+        self._physics = Physics(
+            qpos=self._qpos.copy(),
+            qvel=self._qvel.copy(),
+            torso=np.zeros((num_envs, 2)),
+            contact=np.zeros((num_envs, model.nbody if self.task.contact_forces else 0, 6)),
+        )
+        self._observations = self.task.observe(self._physics)
+        self._clock = np.zeros(num_envs, np.int64)
+        self._idle = np.ones(num_envs, bool)
+        self.np_random = tuple(seeding.np_random()[0] for _ in range(num_envs))
+        if seeds is not None:
+            self._seed(seeds, np.ones(num_envs, bool))
+
+        low, high = model.actuator_ctrlrange.T.astype(np.float32)
+        self.single_action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        # MuJoCo starts a simulation over when a position or a velocity exceeds this value.
+        bound = mujoco.mjMAXVAL
+        self.single_observation_space = gymnasium.spaces.Box(
+            -bound, bound, self._observations.shape[1:], np.float64
+        )
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
+    ) -> tuple[np.ndarray, dict]:
+        """Start new episodes.
+
+        Args:
+            seed: None lets the generators run on, s seeds member i with s + i, a sequence gives a
+                seed or None to each member.
+            options: `{"reset_mask": mask}`, `(num_envs,)` bool, resets (and seeds) the marked
+                members only.
+
+        Returns:
+            Observations of all members, (num_envs, O), and an empty dictionary.
+
+        Raises:
+            ValueError: the mask is not a boolean array of that shape, or marks nobody; or the
+                seeds are not one per member.
+        """
+        mask = np.ones(self.num_envs, bool)
+        if options is not None and "reset_mask" in options:
+            mask = options["reset_mask"]
+            valid = isinstance(mask, np.ndarray) and mask.dtype == bool
+            if not valid or mask.shape != (self.num_envs,) or not mask.any():
+                raise ValueError(
+                    f"reset_mask must be a boolean array of shape ({self.num_envs},) with a member "
+                    f"to reset, not {mask!r}"
+                )
+        if seed is not None:
+            if isinstance(seed, int | np.integer):
+                seed = [seed + i for i in range(self.num_envs)]
+            self._seed(seed, mask)
+        self._start(np.flatnonzero(mask))
+        return self._observations.copy(), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Advance every member by one step; in mode NEXT_STEP, reset those that have finished.
+
+        Args:
+            actions: (num_envs, A), finite.
+
+        Returns:
+            Observations (num_envs, O), rewards, terminated (the task's own end), truncated (the
+            time limit), each (num_envs,), and an empty dictionary. A member reset by this step has
+            reward 0 and neither flag.
+
+        Raises:
+            ValueError: `actions` has another shape, or a value that is not finite.
+            RuntimeError: in mode DISABLED, a member has no episode in progress.
+        """
+        actions = self._checked(actions)
+        idle = self._idle
+        if idle.any() and self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
+            raise RuntimeError(
+                f"members {np.flatnonzero(idle).tolist()} have no episode in progress: reset them "
+                "with reset(options={'reset_mask': mask}) before the next step"
+            )
+        before, running = self._physics, np.flatnonzero(~idle)
+        self._ctrl[running] = actions[running]
+        self._batch.step(running, nstep=self.task.frame_skip)
+        self._measure(running, self._contact_forces(running))
+        after = self._physics
+        self._clock[running] += 1
+
+        rewards = np.where(idle, 0.0, self.task.reward(before, actions, after, self._seconds))
+        terminated = self.task.terminated(after) & ~idle
+        truncated = (self._clock >= self.max_episode_steps) & ~idle
+        if idle.any():
+            self._start(np.flatnonzero(idle))
+        self._idle = terminated | truncated
+        return self._observations.copy(), rewards, terminated, truncated, {}
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that the future depends on, as arrays that `set_state` takes back."""
+        return {
+            "physics": self._batch.state.copy(),
+            "torso": self._physics.torso.copy(),
+            "contact": self._physics.contact.copy(),
+            "clock": self._clock.copy(),
+            "idle": self._idle.copy(),
+            "generators": np.stack([_generator_words(rng) for rng in self.np_random]),
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a state of this task and number of members, exactly.
+
+        Args:
+            state: what `get_state` returned, here or in another `BatchedEnv`.
+
+        Raises:
+            ValueError: names, shapes or types are not those of `get_state`.
+        """
+        expected = {name: (array.shape, array.dtype) for name, array in self.get_state().items()}
+        given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in state.items()}
+        if given != expected:
+            raise ValueError(f"not a state of this environment: expected {expected}, got {given}")
+        self._batch.state[:] = state["physics"]
+        self._physics = Physics(
+            qpos=self._qpos.copy(),
+            qvel=self._qvel.copy(),
+            torso=state["torso"].copy(),
+            contact=state["contact"].copy(),
+        )
+        self._observations = self.task.observe(self._physics)
+        self._clock = state["clock"].copy()
+        self._idle = state["idle"].copy()
+        for rng, words in zip(self.np_random, state["generators"], strict=True):
+            _set_generator_words(rng, words)
+
+    def render(self) -> tuple[np.ndarray, ...]:
+        """Frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8.
+
+        Raises:
+            RuntimeError: the environment was made without `render_mode="rgb_array"`.
+        """
+        if self.render_mode is None:
+            raise RuntimeError("make the environment with render_mode='rgb_array' to render it")
+        frames = []
+        for member in range(self.num_envs):
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_kinematics(self._model, data)
+            frames.append(render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera))
+        return tuple(frames)
+
+    def _checked(self, actions) -> np.ndarray:
+        actions = np.asarray(actions)
+        if actions.shape != self.action_space.shape or actions.dtype.kind not in "fiu":
+            raise ValueError(
+                f"actions must be numbers of shape {self.action_space.shape}, "
+                f"not {actions.dtype} of shape {actions.shape}"
+            )
+        bad = np.argwhere(~np.isfinite(actions))
+        if bad.size:
+            member, joint = bad[0].tolist()
+            raise ValueError(
+                f"member {member}: action[{joint}] is {actions[member, joint]}; "
+                f"actions must be finite, within {self.single_action_space}"
+            )
+        return actions
+
+    def _seed(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"expected a seed for each of {self.num_envs} members, got {seeds}")
+        self.np_random = tuple(
+            seeding.np_random(index(seed))[0] if marked and seed is not None else rng
+            for rng, seed, marked in zip(self.np_random, seeds, mask, strict=True)
+        )
+
+    def _start(self, members: np.ndarray) -> None:
+        """Begin new episodes of some members, drawing from their own generators."""
+        self._batch.reset(members, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        for member in members:
+            position, velocity = self.task.noise(self.np_random[member], self._model)
+            self._qpos[member] += position
+            self._qvel[member] += velocity
+        self._batch.forward(members)
+        self._measure(members, 0.0)
+        self._clock[members] = 0
+        self._idle[members] = False
+
+    def _contact_forces(self, members: np.ndarray) -> np.ndarray:
+        """External forces on the bodies of some members, clipped, (members, nbody or 0, 6)."""
+        forces = np.zeros((len(members), *self._physics.contact.shape[1:]))
+        if self.task.contact_forces:
+            for row, member in zip(forces, members, strict=True):
+                data = self._batch.get_data(member, self._scratch)
+                mujoco.mj_rnePostConstraint(self._model, data)
+                row[:] = data.cfrc_ext
+        return np.clip(forces, -1, 1)
+
+    def _measure(self, moved: np.ndarray, contact: np.ndarray | float) -> None:
+        """Take new physics and observations after some members have moved.
+
+        Torso and contact are by-products of a step and not part of MuJoCo's state: those of the
+        other members are kept.
+        """
+        physics = Physics(
+            qpos=self._qpos.copy(),
+            qvel=self._qvel.copy(),
+            torso=self._physics.torso.copy(),
+            contact=self._physics.contact.copy(),
+        )
+        physics.torso[moved] = self._xpos[moved, 1, :2]
+        physics.contact[moved] = contact
+        self._physics = physics
+        self._observations = self.task.observe(physics)
+
+
+def _generator_words(rng: np.random.Generator) -> np.ndarray:
+    """State of a PCG64 generator: two numbers of 128 bits, high word first, and a spare draw."""
+    state = rng.bit_generator.state
+    words = []
+    for number in (state["state"]["state"], state["state"]["inc"]):
+        words += [number >> 64, number & (2**64 - 1)]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def _set_generator_words(rng: np.random.Generator, words: np.ndarray) -> None:
+    state_high, state_low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": state_high << 64 | state_low, "inc": inc_high << 64 | inc_low},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
+    }

@@ -1,0 +1,143 @@
+"""Frames of a MuJoCo simulation drawn by casting rays on the CPU: no graphics library is needed.
+
+A frame is a pure function of model, state and camera: the same bytes on every call.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+# Each pixel is the mean of 2x2 samples, and each of the four sees its own lamp: the average of four
+# hard shadows is a soft one at the price of one. The lamps' directions are seen from the scene.
+_SAMPLES = 2
+_LAMPS = np.array([[-0.55, -0.5, 1], [-0.43, -0.5, 1], [-0.49, -0.56, 1], [-0.49, -0.44, 1]])
+_LAMPS /= np.linalg.norm(_LAMPS, axis=1, keepdims=True)
+_LAMP_DISTANCE = 50.0
+
+_ZENITH = np.array([0.36, 0.56, 0.85])
+_HORIZON = np.array([0.84, 0.90, 0.96])
+_TILES = np.array([[0.56, 0.62, 0.70], [0.69, 0.75, 0.82]])
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a frame is seen from.
+
+    Attributes:
+        lookat: the point (x, y, z) in the middle of the frame, in metres.
+        distance: from the eye to `lookat`, in metres.
+        azimuth: direction of view in the ground plane, in degrees; 90 looks along +y.
+        elevation: its angle above the ground plane, in degrees; negative looks down.
+        body: `lookat` moves along x and y with the body of this number; 0, the world, stays put.
+        tiles: draw planes as a checker board, in which motion shows, and not in their own colour.
+        field_of_view: vertical, in degrees.
+    """
+
+    lookat: tuple[float, float, float]
+    distance: float
+    azimuth: float = 90.0
+    elevation: float = -15.0
+    body: int = 0
+    tiles: bool = True
+    field_of_view: float = 40.0
+
+
+def render(
+    model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, camera: Camera
+) -> np.ndarray:
+    """Draw one frame.
+
+    Args:
+        model: the model.
+        data: a state of `model` whose kinematics are current (`mujoco.mj_kinematics`).
+        width: of the frame, in pixels.
+        height: of the frame, in pixels.
+        camera: where the scene is seen from.
+
+    Returns:
+        The frame, `(height, width, 3)` uint8.
+    """
+    centre = np.array(camera.lookat)
+    centre[:2] += data.xpos[camera.body, :2]
+    eye = centre - camera.distance * _axes(camera)[0]
+    lamps = centre + _LAMP_DISTANCE * _LAMPS
+    palette = np.concatenate([_surface_colours(model), _TILES])
+    floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & camera.tiles
+    total = np.zeros((height * width, 3))
+    for lamp, directions in zip(lamps, _rays(width, height, camera), strict=True):
+        total += _trace(model, data, eye, lamp, directions, palette, floor)
+    return np.rint(total * (255 / _SAMPLES**2)).astype(np.uint8).reshape(height, width, 3)
+
+
+def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
+    """Colours, (rays, 3) from 0 to 1, that an eye sees along some directions by a lamp's light."""
+    geom, distance, normal = _cast(model, data, eye, directions)
+    point = eye + distance[:, None] * directions
+
+    # MuJoCo casts many rays from one origin only, so they go from the lamp to the points.
+    from_lamp = point - lamp
+    length = np.sqrt(np.einsum("ij,ij->i", from_lamp, from_lamp))
+    from_lamp /= length[:, None]
+    _, obstacle, _ = _cast(model, data, lamp, from_lamp)
+    # The tolerance: a point must not be hidden from the lamp by itself.
+    lit = (obstacle < 0) | (obstacle > length - 1e-4)
+    direct = lit * np.maximum(0, -np.einsum("ij,ij->i", normal, from_lamp))
+    # Skylight: surfaces that face up see the sky, those that face down the darker ground.
+    light = 0.31 + 0.12 * normal[:, 2] + 0.65 * direct
+
+    # The tiles are the palette's last two colours. Haze hides where they become finer than pixels.
+    on_floor = floor[geom] & (geom >= 0)
+    odd = np.floor(point[:, 0]).astype(int) + np.floor(point[:, 1]).astype(int) & 1
+    opacity = np.where(on_floor, np.clip((33 - distance) / 25, 0, 1), geom >= 0)
+    colour = np.take(palette, np.where(on_floor, odd - 2, geom), axis=0, mode="wrap")
+    colour *= light[:, None]
+    sky = _HORIZON + np.maximum(directions[:, 2:], 0) * (_ZENITH - _HORIZON)
+    colour -= sky
+    colour *= opacity[:, None]
+    colour += sky
+    return np.clip(colour, 0, 1, out=colour)
+
+
+def _cast(model, data, origin, directions):
+    """Geom (-1: none), distance (-1) and outward normal where rays from one origin end."""
+    count = len(directions)
+    geom, distance = np.empty(count, np.int32), np.empty(count)
+    normal = np.empty(3 * count)
+    mujoco.mj_multiRay(
+        model, data, origin, directions.ravel(), None, 1, -1, geom, distance, normal, count, 1e6
+    )
+    return geom, distance, normal.reshape(-1, 3)
+
+
+def _axes(camera: Camera) -> np.ndarray:
+    """Unit vectors forward, right and up of the camera, (3, 3)."""
+    azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
+    horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    forward = np.cos(elevation) * horizontal + np.array([0.0, 0.0, np.sin(elevation)])
+    right = np.array([horizontal[1], -horizontal[0], 0.0])
+    return np.stack([forward, right, np.cross(right, forward)])
+
+
+@lru_cache(maxsize=8)
+def _rays(width: int, height: int, camera: Camera) -> np.ndarray:
+    """Unit vectors from the eye through every pixel's samples, (4, pixels, 3)."""
+    forward, right, up = _axes(camera)
+    half = np.tan(np.deg2rad(camera.field_of_view) / 2)
+    rows, columns = _SAMPLES * height, _SAMPLES * width
+    y = half * (1 - (2 * np.arange(rows) + 1) / rows)
+    x = half * width / height * ((2 * np.arange(columns) + 1) / columns - 1)
+    rays = forward + y[:, None, None] * up + x[:, None] * right
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = rays.reshape(height, _SAMPLES, width, _SAMPLES, 3).transpose(1, 3, 0, 2, 4)
+    return rays.reshape(_SAMPLES**2, height * width, 3)
+
+
+def _surface_colours(model) -> np.ndarray:
+    """Colour of each geom, (geoms, 3); a geom without one of its own has its material's."""
+    rgba = model.geom_rgba.copy()
+    unpainted = (model.geom_matid >= 0) & (rgba == _DEFAULT_RGBA).all(axis=1)
+    rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]
+    return rgba[:, :3]

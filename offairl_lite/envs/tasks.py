@@ -1,0 +1,255 @@
+"""The tasks: one definition each, over a leading axis of n simulations.
+
+The four AIRL tasks follow Arnob (2020), the other four the `v5` environments of Gymnasium with
+their default arguments. The order of operations, and of the random draws at a reset, is Gymnasium's
+to the last bit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from offairl_lite.envs import models
+from offairl_lite.envs.raycast import Camera
+
+
+class Physics(NamedTuple):
+    """What observations and rewards are made of, for n simulations.
+
+    Attributes:
+        qpos: generalised positions, (n, nq).
+        qvel: generalised velocities, (n, nv).
+        torso: x and y of body 1 as MuJoCo leaves them after a step, one substep late, (n, 2).
+        contact: external forces on every body, clipped to [-1, 1], (n, nbody, 6); zero after a
+            reset, and always for a task without `contact_forces`.
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    torso: np.ndarray
+    contact: np.ndarray
+
+
+Noise = Callable[[np.random.Generator, mujoco.MjModel], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task.
+
+    Attributes:
+        model: builds the model.
+        frame_skip: physics steps in one environment step.
+        max_episode_steps: environment steps after which an episode is cut off.
+        camera: where its frames are seen from.
+        noise: draws what a reset adds to the model's `qpos0`, (nq,), and to zero velocity, (nv,).
+        observe: physics -> observations, (n, O) float64.
+        reward: physics before, actions (n, A), physics after, seconds in between -> (n,) float64.
+        terminated: physics -> whether the episode has reached its end, (n,) bool.
+        contact_forces: whether `Physics.contact` is computed.
+    """
+
+    model: Callable[[], mujoco.MjModel]
+    frame_skip: int
+    max_episode_steps: int
+    camera: Camera
+    noise: Noise
+    observe: Callable[[Physics], np.ndarray]
+    reward: Callable[[Physics, np.ndarray, Physics, float], np.ndarray]
+    terminated: Callable[[Physics], np.ndarray]
+    contact_forces: bool = False
+
+
+def _uniform(scale: float) -> Noise:
+    def draw(rng, model):
+        return rng.uniform(-scale, scale, model.nq), rng.uniform(-scale, scale, model.nv)
+
+    return draw
+
+
+def _uniform_and_normal(scale: float) -> Noise:
+    def draw(rng, model):
+        return rng.uniform(-scale, scale, model.nq), scale * rng.standard_normal(model.nv)
+
+    return draw
+
+
+def _maze_noise(rng, model):
+    return np.zeros(model.nq), rng.uniform(-0.01, 0.01, model.nv)
+
+
+def _effort(actions: np.ndarray) -> np.ndarray:
+    return np.sum(np.square(actions), axis=1)
+
+
+def _impact(physics: Physics) -> np.ndarray:
+    # Flat rows, so that each sum adds in the order in which Gymnasium's adds.
+    return 5e-4 * np.sum(np.square(physics.contact.reshape(len(physics.contact), -1)), axis=1)
+
+
+def _forward(before: Physics, after: Physics, seconds: float) -> np.ndarray:
+    return (after.qpos[:, 0] - before.qpos[:, 0]) / seconds
+
+
+def _never(physics: Physics) -> np.ndarray:
+    return np.zeros(len(physics.qpos), bool)
+
+
+def _maze_observation(physics: Physics) -> np.ndarray:
+    height = np.zeros((len(physics.qpos), 1))
+    return np.concatenate([models.START + physics.qpos, height], axis=1)
+
+
+def _maze_reward(before, actions, after, seconds):
+    distance = np.linalg.norm(models.START + before.qpos - models.GOAL, axis=1)
+    return -distance - 0.001 * _effort(actions)
+
+
+def _custom_ant_observation(physics: Physics) -> np.ndarray:
+    contact = physics.contact.reshape(len(physics.contact), -1)
+    return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
+
+
+def _custom_ant_reward(before, actions, after, seconds):
+    flipped = after.qpos[:, 2] < 0.2
+    return before.qvel[:, 0] - 0.01 * _effort(actions) - _impact(after) - flipped
+
+
+def _cheetah_observation(physics: Physics) -> np.ndarray:
+    return np.concatenate([physics.qpos[:, 1:], physics.qvel], axis=1)
+
+
+def _cheetah_reward(before, actions, after, seconds):
+    return _forward(before, after, seconds) - 0.1 * _effort(actions)
+
+
+def _biped_observation(physics: Physics) -> np.ndarray:
+    return np.concatenate([physics.qpos[:, 1:], np.clip(physics.qvel, -10, 10)], axis=1)
+
+
+def _biped_reward(healthy: Callable[[Physics], np.ndarray]):
+    def reward(before, actions, after, seconds):
+        return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
+
+    return reward
+
+
+def _hopper_healthy(physics: Physics) -> np.ndarray:
+    height, angle = physics.qpos[:, 1], physics.qpos[:, 2]
+    rest = np.concatenate([physics.qpos[:, 2:], physics.qvel], axis=1)
+    return (height > 0.7) & (np.abs(angle) < 0.2) & (np.abs(rest) < 100).all(axis=1)
+
+
+def _walker_healthy(physics: Physics) -> np.ndarray:
+    height, angle = physics.qpos[:, 1], physics.qpos[:, 2]
+    return (height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0)
+
+
+def _ant_observation(physics: Physics) -> np.ndarray:
+    contact = physics.contact[:, 1:].reshape(len(physics.contact), -1)
+    return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
+
+
+def _ant_healthy(physics: Physics) -> np.ndarray:
+    state = np.concatenate([physics.qpos, physics.qvel], axis=1)
+    height = physics.qpos[:, 2]
+    return np.isfinite(state).all(axis=1) & (height >= 0.2) & (height <= 1.0)
+
+
+def _ant_reward(before, actions, after, seconds):
+    velocity = (after.torso[:, 0] - before.torso[:, 0]) / seconds
+    return velocity + _ant_healthy(after) - (0.5 * _effort(actions) + _impact(after))
+
+
+def _gymnasium_model(file: str) -> mujoco.MjModel:
+    # Gymnasium's half cheetah uses a deprecated attribute: without a handler, MuJoCo would print a
+    # warning and write a log file into the working directory.
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        folder = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+        return mujoco.MjModel.from_xml_path(str(folder / file))
+    finally:
+        mujoco.set_mju_user_warning(handler)
+
+
+def _point_maze(side: models.Side) -> Task:
+    return Task(
+        model=lambda: models.point_maze(side),
+        frame_skip=5,
+        max_episode_steps=100,
+        camera=Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False),
+        noise=_maze_noise,
+        observe=_maze_observation,
+        reward=_maze_reward,
+        terminated=_never,
+    )
+
+
+_ANT_CAMERA = Camera(lookat=(0.0, 0.0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
+
+
+def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
+    return Task(
+        model=lambda: models.ant(disabled, actuator_legs),
+        frame_skip=5,
+        max_episode_steps=1000,
+        camera=_ANT_CAMERA,
+        noise=_uniform_and_normal(0.1),
+        observe=_custom_ant_observation,
+        reward=_custom_ant_reward,
+        terminated=_never,
+        contact_forces=True,
+    )
+
+
+def _biped(file: str, healthy: Callable[[Physics], np.ndarray], lookat_height: float) -> Task:
+    return Task(
+        model=lambda: _gymnasium_model(file),
+        frame_skip=4,
+        max_episode_steps=1000,
+        camera=Camera(lookat=(0.0, 0.0, lookat_height), distance=3.2, elevation=-12, body=1),
+        noise=_uniform(5e-3),
+        observe=_biped_observation,
+        reward=_biped_reward(healthy),
+        terminated=lambda physics: ~healthy(physics),
+    )
+
+
+TASKS: dict[str, Task] = {
+    "offairl/PointMazeLeft-v0": _point_maze("Left"),
+    "offairl/PointMazeRight-v0": _point_maze("Right"),
+    "offairl/CustomAnt-v0": _custom_ant(disabled=False, actuator_legs=(4, 1, 2, 3)),
+    "offairl/DisabledAnt-v0": _custom_ant(disabled=True, actuator_legs=(4, 1, 2, 3)),
+    # As released: an actor carried over from CustomAnt drives the wrong joints.
+    "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
+    "HalfCheetah-v5": Task(
+        model=lambda: _gymnasium_model("half_cheetah.xml"),
+        frame_skip=5,
+        max_episode_steps=1000,
+        camera=Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1),
+        noise=_uniform_and_normal(0.1),
+        observe=_cheetah_observation,
+        reward=_cheetah_reward,
+        terminated=_never,
+    ),
+    "Hopper-v5": _biped("hopper.xml", _hopper_healthy, lookat_height=0.8),
+    "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy, lookat_height=0.8),
+    "Ant-v5": Task(
+        model=lambda: _gymnasium_model("ant.xml"),
+        frame_skip=5,
+        max_episode_steps=1000,
+        camera=_ANT_CAMERA,
+        noise=_uniform_and_normal(0.1),
+        observe=_ant_observation,
+        reward=_ant_reward,
+        terminated=lambda physics: ~_ant_healthy(physics),
+        contact_forces=True,
+    ),
+}
+"""The eight tasks of the paper, and DisabledAnt with the actuator order of the released code."""

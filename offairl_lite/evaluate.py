@@ -1,0 +1,140 @@
+"""Episodes of a fixed policy, and the statistics of their returns."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats
+import torch
+from jaxtyping import Bool, Float
+
+from offairl_lite import envs
+from offairl_lite.absorbing import extend
+from offairl_lite.policies import Policy
+from offairl_lite.streams import Streams
+
+
+class Episodes(NamedTuple):
+    """Episodes of each member, side by side; after its end an episode is padded with zeros."""
+
+    obs: Float[np.ndarray, "S E T O"]
+    action: Float[np.ndarray, "S E T A"]
+    next_obs: Float[np.ndarray, "S E T O"]
+    reward: Float[np.ndarray, "S E T"]
+    terminated: Bool[np.ndarray, "S E"]
+    running: Bool[np.ndarray, "S E T"]
+
+    @property
+    def returns(self) -> Float[np.ndarray, "S E"]:
+        """Undiscounted sums of the task's reward."""
+        return self.reward.sum(-1)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Steps of each episode, `(S, E)`."""
+        return self.running.sum(-1)
+
+
+def episode_seeds(seeds: Sequence[int], episodes: int, purpose: int = 0) -> list[int]:
+    """Derive a seed for every episode of every member, `S * episodes`, in that order.
+
+    They depend on the member's own seed and on `purpose`, which keeps the episodes of, say, an
+    evaluation apart from those of a data set.
+    """
+    return [
+        int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
+        for seed in seeds
+        for episode in range(episodes)
+    ]
+
+
+def rollout(
+    policy: Policy,
+    env_id: str,
+    seeds: Sequence[int],
+    episodes: int,
+    *,
+    sample: bool = False,
+    purpose: int = 0,
+    num_threads: int = 1,
+) -> Episodes:
+    """Run whole episodes with each member of a policy.
+
+    Args:
+        policy: S members.
+        env_id: the task, not necessarily the one the policy was trained on.
+        seeds: one for each member; the same seeds give the same episodes.
+        episodes: how many for each member, all at the same time.
+        sample: whether to sample actions; otherwise the mode is taken.
+        purpose: see `episode_seeds`.
+        num_threads: for the physics.
+
+    Raises:
+        ValueError: seeds and members are not equally many, or an observation has the wrong size.
+    """
+    if len(seeds) != len(policy):
+        raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
+    population = len(policy)
+    env = envs.make(
+        env_id,
+        population * episodes,
+        episode_seeds(seeds, episodes, purpose),
+        num_threads=num_threads,
+    )
+    obs_dim, action_dim = env.single_observation_space.shape[0], env.single_action_space.shape[0]
+    if policy.actor.obs_dim not in (obs_dim, obs_dim + 1):
+        raise ValueError(
+            f"the policy of {policy.env_id} sees {policy.actor.obs_dim} numbers; "
+            f"{env_id} gives {obs_dim}"
+        )
+    streams = Streams([hash((seed, purpose)) & 0xFFFFFFFF for seed in seeds])
+    obs, _ = env.reset()
+    running = np.ones(population * episodes, bool)
+    ended = np.zeros_like(running)
+    steps = []
+    while running.any():
+        seen = torch.as_tensor(obs, dtype=torch.float32).view(population, episodes, obs_dim)
+        seen = seen if policy.actor.obs_dim == obs_dim else extend(seen)
+        noise = streams.normal(episodes, action_dim) if sample else None
+        action = policy.act(seen, noise).view(-1, action_dim).numpy()
+        next_obs, reward, terminated, truncated, _ = env.step(action)
+        steps.append((obs, action, next_obs, reward, running))
+        ended |= running & terminated
+        done = terminated | truncated
+        running = running & ~done
+        obs = next_obs
+        if done.any():
+            obs, _ = env.reset(options={"reset_mask": done})
+    env.close()
+
+    def stacked(part: int) -> np.ndarray:
+        array = np.stack([step[part] for step in steps], 1)
+        alive = np.stack([step[4] for step in steps], 1)
+        array = array * alive.reshape(*alive.shape, *(1,) * (array.ndim - 2))
+        return array.reshape(population, episodes, *array.shape[1:])
+
+    alive = np.stack([step[4] for step in steps], 1).reshape(population, episodes, -1)
+    return Episodes(*map(stacked, range(4)), ended.reshape(population, episodes), alive)
+
+
+def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
+    """Return the mean of the middle half of the first axis (Agarwal et al. 2021)."""
+    return scipy.stats.trim_mean(values, 0.25, axis=0)
+
+
+def bootstrap_interval(
+    values: Float[np.ndarray, "N ..."], confidence: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
+    if len(values) < 2:
+        return values[0], values[0]
+    interval = scipy.stats.bootstrap(
+        (values,),
+        lambda x, axis: scipy.stats.trim_mean(x, 0.25, axis=axis),
+        confidence_level=confidence,
+        n_resamples=2_000,
+        axis=0,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return interval.low, interval.high

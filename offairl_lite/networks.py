@@ -1,0 +1,200 @@
+"""Networks for a population: the weights of `S` members are one matrix, `(S, P)`.
+
+A network here is only an architecture. Its weights are an ordinary tensor that is passed in, so a
+loss is a function of tensors, a target network is a second tensor, averaging it is one call, and
+member `i` is row `i`.
+"""
+
+import json
+from dataclasses import dataclass
+from itertools import pairwise
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from offairl_lite.streams import Streams
+
+
+class Normaliser(NamedTuple):
+    """Fixed affine map of observations: `(obs - mean) / std`, member by member."""
+
+    mean: Float[Tensor, "S 1 O"]
+    std: Float[Tensor, "S 1 O"]
+
+    @classmethod
+    def identity(cls, population: int, obs_dim: int, device: torch.device | str = "cpu") -> Self:
+        """Return the map that changes nothing."""
+        zeros = torch.zeros(population, 1, obs_dim, device=device)
+        return cls(zeros, torch.ones_like(zeros))
+
+    @classmethod
+    def of(cls, *sources: Float[Tensor, "S _ O"]) -> Self:
+        """Return the map that gives an even mixture of the sources mean 0 and spread 1.
+
+        A coordinate that hardly varies (standard deviation below 1e-3) is only centred: scaling
+        it up would turn rounding into signal.
+        """
+        means = torch.stack([obs.mean(1, keepdim=True) for obs in sources])
+        squares = torch.stack([obs.square().mean(1, keepdim=True) for obs in sources])
+        mean = means.mean(0)
+        std = (squares.mean(0) - mean.square()).clamp(min=0).sqrt()
+        return cls(mean, torch.where(std < 1e-3, 1.0, std))
+
+    def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:
+        """Scale observations."""
+        return (obs - self.mean) / self.std
+
+
+@dataclass(frozen=True)
+class StackedMLP:
+    """A multilayer perceptron, for `S` sets of weights at once: a layer is one `baddbmm`.
+
+    Args:
+        sizes: features of the input, of each hidden layer and of the output.
+        activation: of the hidden layers; the output is linear.
+    """
+
+    sizes: tuple[int, ...]
+    activation: Literal["relu", "tanh"] = "relu"
+
+    @property
+    def num_params(self) -> int:
+        """P: weights and biases of one member."""
+        return sum((i + 1) * o for i, o in pairwise(self.sizes))
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw Glorot-uniform weights and zero biases (Glorot and Bengio, 2010)."""
+        parts = []
+        for i, o in pairwise(self.sizes):
+            parts += [
+                torch.zeros(len(streams), o, device=streams.device),
+                (2 * streams.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5,
+            ]
+        return torch.cat(parts, 1)
+
+    def layers(self, params: Float[Tensor, "S P"]) -> list[tuple[Tensor, Tensor]]:
+        """Cut the rows of `params` into biases `(S, 1, out)` and weights `(S, in, out)`."""
+        shapes = list(pairwise(self.sizes))
+        parts = params.split([n for i, o in shapes for n in (o, i * o)], 1)
+        return [
+            (bias.unsqueeze(1), weight.view(-1, i, o))
+            for bias, weight, (i, o) in zip(parts[::2], parts[1::2], shapes, strict=True)
+        ]
+
+    def __call__(
+        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
+    ) -> Float[Tensor, "S B out"]:
+        """Apply member `i`'s weights to member `i`'s inputs."""
+        *hidden, (bias, weight) = self.layers(params)
+        for b, w in hidden:
+            x = self._activate(torch.baddbmm(b, x, w))
+        return torch.baddbmm(bias, x, weight)
+
+    def value_and_input_gradient(
+        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
+    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B in"]]:
+        """Return the scalar output and its gradient by the input.
+
+        The gradient is written out as the chain rule, that is, as a forward pass of its own.
+        Training on it then needs one ordinary backward pass, not a double one.
+        """
+        *hidden, (bias, weight) = self.layers(params)
+        outputs = []
+        for b, w in hidden:
+            x = self._activate(torch.baddbmm(b, x, w))
+            outputs.append(x)
+        value = torch.baddbmm(bias, x, weight).squeeze(-1)
+        gradient = weight.transpose(1, 2)
+        for (_, w), h in zip(reversed(hidden), reversed(outputs), strict=True):
+            gradient = (gradient * self._slope(h)) @ w.transpose(1, 2)
+        return value, gradient
+
+    def _activate(self, x: Tensor) -> Tensor:
+        return torch.relu(x) if self.activation == "relu" else torch.tanh(x)
+
+    def _slope(self, h: Tensor) -> Tensor:
+        """Derivative of the activation, from its output."""
+        return (h > 0).to(h) if self.activation == "relu" else 1 - h.square()
+
+
+@dataclass(frozen=True)
+class TwinCritic:
+    """Two Q-networks, which are `2S` entries of one stack.
+
+    Args:
+        obs_dim: O.
+        action_dim: A.
+        hidden: hidden layers.
+    """
+
+    obs_dim: int
+    action_dim: int
+    hidden: tuple[int, ...]
+
+    @property
+    def net(self) -> StackedMLP:
+        """The network, with one output."""
+        return StackedMLP((self.obs_dim + self.action_dim, *self.hidden, 1))
+
+    def init(self, streams: Streams) -> Float[Tensor, "2 S P"]:
+        """Draw the weights of both critics of a population."""
+        return torch.stack([self.net.init(streams), self.net.init(streams)])
+
+    def __call__(
+        self,
+        params: Float[Tensor, "2 S P"],
+        obs: Float[Tensor, "S B O"],
+        action: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "2 S B"]:
+        """Return both values of each action."""
+        x = torch.cat([obs, action], -1)
+        q = self.net(params.flatten(0, 1), x.expand(2, *x.shape).flatten(0, 1))
+        return q.view(2, *x.shape[:2])
+
+
+def adam(params: Tensor, learning_rate: float) -> torch.optim.Adam:
+    """Return Adam over one tensor of weights, which starts to require gradients."""
+    return torch.optim.Adam([params.requires_grad_()], lr=learning_rate, fused=True)
+
+
+def descend(loss: Float[Tensor, ""], *optimizers: torch.optim.Adam) -> None:
+    """Step down the gradient of `loss` by the optimizers' tensors, and by nothing else."""
+    params = [optimizer.param_groups[0]["params"][0] for optimizer in optimizers]
+    gradients = torch.autograd.grad(loss, params)
+    for optimizer, tensor, gradient in zip(optimizers, params, gradients, strict=True):
+        # Fused Adam on the CPU reads the gradient's storage in order, whatever its strides say.
+        tensor.grad = gradient.contiguous()
+        optimizer.step()
+
+
+def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:
+    """Write tensors to a safetensors file, with what they mean as JSON beside them."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    save_file(plain, path, {"about": json.dumps(about)})
+
+
+def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read what `save_weights` wrote.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no safetensors file, or one of another `about["kind"]`.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no {kind} at {path}")
+    try:
+        with safe_open(path, "pt") as file:
+            about = json.loads((file.metadata() or {}).get("about", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(f"{path} is no safetensors file: {error}") from error
+    if about.get("kind") != kind:
+        raise ValueError(f"{path} holds {about.get('kind', 'something unnamed')!r}, not a {kind}")
+    return tensors, about

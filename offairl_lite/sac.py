@@ -1,0 +1,181 @@
+"""Soft actor-critic (Haarnoja et al. 2018), for a population.
+
+The losses are functions of values and log-densities, written as in the paper, with its slips
+mended: the target takes the smaller critic, the entropy term stands inside γ, and a termination
+has no next value. Losses are summed over members and averaged over the batch, so that members do
+not influence one another.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offairl_lite.absorbing import analytic_return, is_absorbing
+from offairl_lite.config import Config
+from offairl_lite.networks import Normaliser, TwinCritic, adam, descend
+from offairl_lite.policies import Policy, SquashedGaussian
+from offairl_lite.replay import Batch
+from offairl_lite.streams import Streams
+
+INITIAL_TEMPERATURE = 0.2
+
+
+def soft_value(
+    q: Float[Tensor, "2 S B"], alpha: Float[Tensor, "S 1"], log_prob: Float[Tensor, "S B"]
+) -> Float[Tensor, "S B"]:
+    """Return V(s) = min(Q₁, Q₂) - α log π, at an action drawn from π."""
+    return q.amin(0) - alpha * log_prob
+
+
+def bellman_target(
+    reward: Float[Tensor, "S B"],
+    terminated: Float[Tensor, "S B"],
+    next_value: Float[Tensor, "S B"],
+    discount: float,
+) -> Float[Tensor, "S B"]:
+    """Return y = r + γ (1 - terminated) V(s')."""
+    return reward + discount * (1 - terminated) * next_value
+
+
+def critic_loss(q: Float[Tensor, "2 S B"], target: Float[Tensor, "S B"]) -> Float[Tensor, ""]:
+    """Return J_Q = E (Q - y)², summed over both critics."""
+    return (q - target).square().mean(-1).sum()
+
+
+def actor_loss(value: Float[Tensor, "S B"], weight: Float[Tensor, "S B"]) -> Float[Tensor, ""]:
+    """Return J_π = -E V(s), for soft values at reparametrised actions; `weight` masks states."""
+    return -(weight * value).mean(-1).sum()
+
+
+def temperature_loss(
+    log_alpha: Float[Tensor, "S 1"], log_prob: Float[Tensor, "S B"], target_entropy: float
+) -> Float[Tensor, ""]:
+    """Return J_α = E[-α (log π + H̄)]; it raises α while the entropy is below H̄."""
+    return -(log_alpha.exp() * (log_prob.detach() + target_entropy)).mean(-1).sum()
+
+
+class SAC:
+    """Actor, twin critics, their targets and the temperature of `S` members.
+
+    Args:
+        config: hyper-parameters.
+        obs_dim: O, with the absorbing indicator where there is one.
+        action_dim: A.
+        streams: for the initial weights.
+        normaliser: scales every observation that comes in.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        obs_dim: int,
+        action_dim: int,
+        streams: Streams,
+        normaliser: Normaliser,
+    ) -> None:
+        self.config, self.normaliser = config, normaliser
+        self.actor = SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
+        self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
+        self.actor_params = self.actor.init(streams)
+        self.critic_params = self.critic.init(streams)
+        self.target_params = self.critic_params.clone()
+        alpha = INITIAL_TEMPERATURE if config.temperature is None else config.temperature
+        self.log_alpha = torch.full((len(streams), 1), math.log(alpha), device=streams.device)
+        self.target_entropy = (
+            -float(action_dim) if config.target_entropy is None else config.target_entropy
+        )
+        self.actor_optimizer = adam(self.actor_params, config.learning_rate)
+        self.critic_optimizer = adam(self.critic_params, config.learning_rate)
+        self.alpha_optimizer = adam(self.log_alpha, config.learning_rate)
+        self.updates = 0
+
+    @property
+    def policy(self) -> Policy:
+        """The actor as it is now; later updates do not change it."""
+        params = self.actor_params.detach().clone()
+        return Policy(self.config.env_id, self.actor, params, self.normaliser)
+
+    @torch.no_grad()
+    def log_prob(
+        self, batch: Batch, actor_params: Float[Tensor, "S P"] | None = None
+    ) -> Float[Tensor, "S B"]:
+        """Return log π(a|s) of the batch's actions, under the current actor or under another.
+
+        In the absorbing state the one thing to do is done with certainty: log π = 0.
+        """
+        params = self.actor_params if actor_params is None else actor_params
+        obs = self.normaliser(batch.obs)
+        log_prob = self.actor.log_prob(params, obs, batch.pre_tanh, self.config.log_density)
+        if self.config.absorbing == "none":
+            return log_prob
+        return log_prob.masked_fill(is_absorbing(batch.obs), 0)
+
+    def update(
+        self,
+        batch: Batch,
+        reward: Float[Tensor, "S B"],
+        absorbing_reward: Float[Tensor, "S 1"],
+        noise: Float[Tensor, "2 S B A"],
+    ) -> dict[str, Float[Tensor, "S"]]:
+        """Train the critics once, and every `actor_delay`-th time actor, temperature and targets.
+
+        Args:
+            batch: transitions; their own reward is not looked at.
+            reward: what to maximise.
+            absorbing_reward: r(s_a), used where `absorbing` is `analytic`.
+            noise: standard normal, for the next actions and for the actor's own.
+
+        Returns:
+            Losses and diagnostics of each member.
+        """
+        config = self.config
+        batch = batch._replace(
+            obs=self.normaliser(batch.obs), next_obs=self.normaliser(batch.next_obs)
+        )
+        target = self._target(batch, reward, absorbing_reward, noise[0])
+        q = self.critic(self.critic_params, batch.obs, batch.action)
+        descend(critic_loss(q, target), self.critic_optimizer)
+        metrics = {
+            "critic_loss": (q.detach() - target).square().mean(-1).sum(0),
+            "q": q.detach().mean((0, 2)),
+            "temperature": self.log_alpha.detach().exp().squeeze(-1),
+        }
+        self.updates += 1
+        if self.updates % config.actor_delay == 0:
+            pre_tanh, log_prob = self.actor.sample(self.actor_params, batch.obs, noise[1])
+            q = self.critic(self.critic_params.detach(), batch.obs, torch.tanh(pre_tanh))
+            value = soft_value(q, self.log_alpha.detach().exp(), log_prob)
+            weight = torch.ones_like(value)
+            if config.absorbing != "none":
+                weight = (~is_absorbing(batch.obs)).to(value)
+            descend(actor_loss(value, weight), self.actor_optimizer)
+            if config.temperature is None:
+                loss = temperature_loss(self.log_alpha, log_prob, self.target_entropy)
+                descend(loss, self.alpha_optimizer)
+            with torch.no_grad():
+                self.target_params.lerp_(self.critic_params, config.target_rate)
+        return metrics
+
+    @torch.no_grad()
+    def _target(
+        self,
+        batch: Batch,
+        reward: Float[Tensor, "S B"],
+        absorbing_reward: Float[Tensor, "S 1"],
+        noise: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "S B"]:
+        config = self.config
+        pre_tanh, log_prob = self.actor.sample(self.actor_params, batch.next_obs, noise)
+        if config.absorbing != "none":
+            ended = is_absorbing(batch.next_obs)
+            pre_tanh = pre_tanh.masked_fill(ended.unsqueeze(-1), 0)
+            log_prob = log_prob.masked_fill(ended, 0)
+        q = self.critic(self.target_params, batch.next_obs, torch.tanh(pre_tanh))
+        next_value = soft_value(q, self.log_alpha.exp(), log_prob)
+        target = bellman_target(reward, batch.terminated, next_value, config.discount)
+        if config.absorbing == "analytic":
+            known = analytic_return(reward, absorbing_reward, config.discount)
+            target = torch.where(ended, known, target)
+        return target

@@ -1,0 +1,54 @@
+"""Random numbers for a population: one generator a member, and no global state."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+
+class Streams:
+    """Generators of `S` members.
+
+    What a member draws depends on its seed and on nothing else, so that seed 7 sees the same
+    numbers alone or among ten. Numbers are drawn on the CPU, and are the same on every device.
+
+    Args:
+        seeds: one seed for each member.
+        device: where the numbers are wanted.
+    """
+
+    def __init__(self, seeds: Sequence[int], device: str | torch.device = "cpu") -> None:
+        self.device = torch.device(device)
+        # SeedSequence spreads neighbouring seeds over the generator's state.
+        spread = [int(np.random.SeedSequence(seed).generate_state(1)[0]) for seed in seeds]
+        self.generators = [torch.Generator().manual_seed(seed) for seed in spread]
+
+    def __len__(self) -> int:
+        return len(self.generators)
+
+    def _stack(self, draw: Callable[[int, torch.Generator], Tensor]) -> Tensor:
+        return torch.stack([draw(i, g) for i, g in enumerate(self.generators)]).to(self.device)
+
+    def normal(self, *shape: int) -> Float[Tensor, "S ..."]:
+        """Draw standard normal numbers, `(S, *shape)`."""
+        return self._stack(lambda _, g: torch.randn(shape, generator=g))
+
+    def uniform(self, *shape: int) -> Float[Tensor, "S ..."]:
+        """Draw numbers uniform in [0, 1), `(S, *shape)`."""
+        return self._stack(lambda _, g: torch.rand(shape, generator=g))
+
+    def integers(self, high: Sequence[int], *shape: int) -> Int[Tensor, "S ..."]:
+        """Draw integers uniform in [0, high), `(S, *shape)`, with a bound for each member."""
+        return self._stack(lambda i, g: torch.randint(high[i], shape, generator=g))
+
+    @property
+    def state(self) -> UInt8[Tensor, "S bytes"]:
+        """The generators' states, one row a member; assign it to go on from there."""
+        return torch.stack([g.get_state() for g in self.generators])
+
+    @state.setter
+    def state(self, state: UInt8[Tensor, "S bytes"]) -> None:
+        for generator, row in zip(self.generators, state, strict=True):
+            generator.set_state(row.clone())

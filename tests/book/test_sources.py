@@ -1,0 +1,41 @@
+"""The chapters as they are kept: runnable, stripped of outputs, in one form."""
+
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+from sphinx_external_toc.parsing import parse_toc_yaml
+
+ROOT = Path(__file__).parents[2]
+CHAPTERS = sorted((ROOT / "book").glob("*.ipynb"))
+
+
+def test_every_chapter_is_in_the_table_of_contents():
+    listed = {f"{page}.ipynb" for page in parse_toc_yaml(ROOT / "_toc.yml")}
+    assert {f"book/{path.name}" for path in CHAPTERS} <= listed
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_stripped(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            where = f"cell {cell.id}: run `nbstripout --keep-id {path.relative_to(ROOT)}`"
+            assert not cell.outputs, where
+            assert cell.execution_count is None, where
+            assert "execution" not in cell.metadata, where
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_form(path):
+    """A title, an assertion, an exercise, and a solution to each exercise."""
+    cells = nbformat.read(path, as_version=4).cells
+    text = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
+    assert re.match(r"# \S", cells[0].source)
+    assert re.search(r"^assert ", code, re.MULTILINE)
+    exercises = re.findall(r"\{exercise(?:-start)?\}.*\n:label: (\S+)", text)
+    assert exercises
+    assert set(exercises) == set(re.findall(r"\{solution(?:-start)?\} (\S+)", text))
