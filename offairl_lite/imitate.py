@@ -351,7 +351,7 @@ class Trainer:
             if not finite.all():
                 seed = self.seeds[int((~finite).nonzero()[0])]
                 raise FloatingPointError(
-                    f"seed {seed} diverged by step {self.steps}: its {name} weights are not finite: "
+                    f"seed {seed} diverged by step {self.steps}: {name} weights are not finite; "
                     "lower learning_rate or reward_scale"
                 )
 

@@ -77,7 +77,12 @@ class _SeedFirstReset(VectorWrapper):
 
 
 def make(
-    env_id: str, population: int, seed: int | Sequence[int], *, num_threads: int = 1
+    env_id: str,
+    population: int,
+    seed: int | Sequence[int],
+    *,
+    num_threads: int = 1,
+    render_mode: str | None = None,
 ) -> VectorEnv:
     """A vector environment with one member per seed, to be reset by whoever steps it.
 
@@ -91,6 +96,7 @@ def make(
         population: number of members.
         seed: s seeds the members with s, s + 1, ...; or a sequence of one seed per member.
         num_threads: native threads for a task of `TASKS`; without effect on other environments.
+        render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
 
     Raises:
         ValueError: the id is not known; its spaces are not flat (and, for actions, bounded) boxes;
@@ -106,6 +112,7 @@ def make(
             seeds=seeds,
             num_threads=num_threads,
             autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
         )
     try:
         env = gymnasium.make_vec(
@@ -113,6 +120,7 @@ def make(
             num_envs=population,
             vectorization_mode="sync",
             vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+            render_mode=render_mode,
         )
     except gymnasium.error.UnregisteredEnv as error:
         raise ValueError(

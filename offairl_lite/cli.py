@@ -1,0 +1,154 @@
+"""The command line: `offairl list`, `run`, `demos`, `watch`."""
+
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional
+
+from offairl_lite import demonstrations, records, scale, video
+from offairl_lite.config import Config
+from offairl_lite.discriminators import Reward
+from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.imitate import train
+from offairl_lite.policies import Policy
+from offairl_lite.scale import Scale
+
+
+def list_experiments() -> None:
+    """Show the experiments, and the tasks for which experts are shipped."""
+    print("Experiments (offairl run NAME):")
+    for name, experiment in EXPERIMENTS.items():
+        print(f"  {name:16} {experiment.about}")
+        for size, config in experiment.configs.items():
+            seeds = len(experiment.seeds[size])
+            print(f"  {'':16}   {size}: {config.total_steps:,} steps, {seeds} seeds")
+    print("\nExperts (offairl demos ENV_ID):")
+    for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
+        policy = Policy.load(path)
+        print(f"  {policy.env_id:26} {len(policy)} policies")
+
+
+def demos(env_id: Positional[str], *, trajectories: int = 50, dataset: str | None = None) -> None:
+    """Make demonstrations of a task where there are none yet, check them, and say what they are.
+
+    Args:
+        env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
+        trajectories: how many episodes.
+        dataset: a Minari data set of your own, to check against the task.
+    """
+    data = demonstrations.load(env_id, trajectories, dataset)
+    returns = data.returns
+    print(
+        f"{env_id}: {len(data)} trajectories, {sum(data.lengths):,} steps, return "
+        f"{returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
+    )
+
+
+def watch(
+    what: Positional[str],
+    *,
+    env_id: str | None = None,
+    member: int = 0,
+    seed: int = 0,
+    max_steps: int = 200,
+    out: Path = Path("film.mp4"),
+) -> None:
+    """Film one episode of a policy.
+
+    Args:
+        what: a run's folder, a policy's file, or the id of a task with shipped experts.
+        env_id: where the policy acts; by default where it was trained.
+        member: which member of the population.
+        seed: of the episode.
+        max_steps: where to stop at the latest.
+        out: the MP4 file to write.
+    """
+    path = Path(what) / "policy.safetensors" if Path(what).is_dir() else Path(what)
+    policy = Policy.load(path) if path.suffix == ".safetensors" else demonstrations.expert(what)
+    if not 0 <= member < len(policy):
+        raise ValueError(f"member is {member}; {what} has members 0 to {len(policy) - 1}")
+    pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
+    out.write_bytes(video.mp4(pictures))
+    print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+
+
+def _run_command(name: str, size: Scale):
+    """Return `offairl run`, with the defaults of one experiment at one scale."""
+    experiment = find(name)
+
+    def run(
+        experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
+        *,
+        scale: Scale = size,
+        seeds: tuple[int, ...] = experiment.seeds[size],
+        out: Path | None = None,
+        dataset: str | None = None,
+        trajectories: int = 50,
+        frozen: Path | None = None,
+        threads: int = 1,
+        config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
+    ) -> None:
+        """Run an experiment, and record it in a folder of its own.
+
+        Args:
+            experiment: its name; the defaults below are this experiment's at this scale.
+            scale: demo takes minutes, full is the paper's protocol.
+            seeds: one member of the population for each.
+            out: the folder to write; by default runs/EXPERIMENT-SCALE.
+            dataset: a Minari data set to imitate; by default the shipped experts'.
+            trajectories: how many of its episodes to use.
+            frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            threads: of PyTorch and of the physics; small networks are fastest with one.
+            config: everything else.
+        """
+        reward = None
+        if config.reward == "frozen":
+            if frozen is None:
+                source = find(experiment).reward_from or "maze-imitation"
+                raise ValueError(
+                    f"{experiment} is paid by the reward of another run: first `offairl run "
+                    f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
+                )
+            reward = Reward.load(frozen)
+        torch.set_num_threads(threads)
+        data = None
+        if config.learns_reward:
+            data = demonstrations.load(config.env_id, trajectories, dataset)
+        folder = out or Path("runs") / f"{experiment}-{scale}"
+        recorder = records.Recorder(folder, config, seeds)
+        done = train(config, seeds, data, reward, num_threads=threads, on_rows=recorder.add)
+        recorder.finish(done)
+        print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
+        for row in done.rows[-len(seeds) :]:
+            print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
+        if data is not None:
+            print(f"demonstrations: {data.returns.mean():.2f}")
+        print(f"recorded in {folder}")
+
+    return run
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Off-policy adversarial inverse reinforcement learning, from the command line."""
+    args = list(sys.argv[1:] if args is None else args)
+    try:
+        # The experiment and the scale decide the defaults that --help shows, so they come first.
+        name = next((arg for arg in args if arg in EXPERIMENTS), "maze-imitation")
+        sizes = [after for before, after in pairwise(args) if before == "--scale"]
+        size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
+        commands = {
+            "list": list_experiments,
+            "run": _run_command(name, size),
+            "demos": demos,
+            "watch": watch,
+        }
+        tyro.extras.subcommand_cli_from_dict(
+            commands, prog="offairl", description=main.__doc__, args=args
+        )
+    except (ValueError, OSError, FloatingPointError) as error:
+        sys.exit(f"offairl: {error}")
