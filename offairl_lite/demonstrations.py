@@ -215,3 +215,16 @@ def _transitions(episode: minari.EpisodeData, action_space: gymnasium.spaces.Box
         tensor(episode.rewards),
         tensor(episode.terminations),
     )
+
+
+def best(policy: Policy, seeds: Sequence[int], count: int = 5, episodes: int = 20) -> Policy:
+    """Return the `count` members with the highest mean return, best first: what is shipped.
+
+    Args:
+        policy: a trained population.
+        seeds: of its members.
+        count: how many to keep.
+        episodes: of each member's mode, by which they are ranked.
+    """
+    returns = rollout(policy, policy.env_id, seeds, episodes).returns.mean(1)
+    return policy.member(*np.argsort(-returns)[:count].tolist())
