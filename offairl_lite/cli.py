@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
+import gymnasium
 import torch
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
@@ -14,7 +15,7 @@ from offairl_lite import demonstrations, records, scale, video
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.imitate import train
+from offairl_lite.imitate import Trainer, train
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
 
@@ -119,6 +120,8 @@ def _run_command(name: str, size: Scale):
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset)
+        # What does not fit is refused before anything is written.
+        Trainer(config, seeds, data, reward)
         folder = out or Path("runs") / f"{experiment}-{scale}"
         recorder = records.Recorder(folder, config, seeds)
         done = train(config, seeds, data, reward, num_threads=threads, on_rows=recorder.add)
@@ -150,5 +153,5 @@ def main(args: Sequence[str] | None = None) -> None:
         tyro.extras.subcommand_cli_from_dict(
             commands, prog="offairl", description=main.__doc__, args=args
         )
-    except (ValueError, OSError, FloatingPointError) as error:
+    except (ValueError, OSError, FloatingPointError, gymnasium.error.Error) as error:
         sys.exit(f"offairl: {error}")

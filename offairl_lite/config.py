@@ -117,8 +117,8 @@ class Config:
     return in closed form (the paper's R_T)."""
 
     normalise: bool = True
-    """Whether networks see observations scaled by fixed statistics: the demonstrations', or the
-    warm-up's where there are none."""
+    """Whether networks see observations scaled to mean 0 and spread 1: fixed statistics of the
+    warm-up and the demonstrations, half and half, or of the warm-up alone where there are none."""
 
     eval_every: int = 5_000
     """Environment steps between evaluations."""
@@ -137,6 +137,15 @@ class Config:
         for name in ("discount", "discriminator_discount", "target_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
+        for name in ("update_every", "temperature"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"{name} is {value!r}; expected a positive number or None")
+        if self.warmup_steps > self.total_steps:
+            raise ValueError(
+                f"warmup_steps is {self.warmup_steps}, total_steps {self.total_steps}: nothing "
+                "would be trained; lower warmup_steps"
+            )
         if self.warmup_hold < 1:
             raise ValueError(f"warmup_hold is {self.warmup_hold!r}; expected at least 1 step")
         if self.generator == "td3" and self.reward.startswith("implementation"):

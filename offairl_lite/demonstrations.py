@@ -1,5 +1,6 @@
 """Expert demonstrations: loaded from Minari, checked, or made on first use by shipped experts."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,13 +130,17 @@ def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
                     )
                 )
                 bar.update()
-    minari.create_dataset_from_buffers(
-        dataset_id,
-        buffer,
-        env=env_id,
-        algorithm_name="SAC",
-        description=f"Episodes of the {len(policy)} shipped experts of {env_id}.",
-    )
+    with warnings.catch_warnings():
+        # Minari would like to know whom to write to about a data set; this one stays here.
+        warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
+        minari.create_dataset_from_buffers(
+            dataset_id,
+            buffer,
+            env=env_id,
+            eval_env=env_id,
+            algorithm_name="SAC",
+            description=f"Episodes of the {len(policy)} shipped experts of {env_id}.",
+        )
 
 
 def from_minari(

@@ -75,28 +75,27 @@ def rollout(
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
     population = len(policy)
-    env = envs.make(
-        env_id,
-        population * episodes,
-        episode_seeds(seeds, episodes, purpose),
-        num_threads=num_threads,
-    )
+    each = episode_seeds(seeds, episodes, purpose)
+    env = envs.make(env_id, population * episodes, each, num_threads=num_threads)
     obs_dim, action_dim = env.single_observation_space.shape[0], env.single_action_space.shape[0]
     if policy.actor.obs_dim not in (obs_dim, obs_dim + 1):
         raise ValueError(
             f"the policy of {policy.env_id} sees {policy.actor.obs_dim} numbers; "
             f"{env_id} gives {obs_dim}"
         )
-    streams = Streams([hash((seed, purpose)) & 0xFFFFFFFF for seed in seeds])
+    device = policy.params.device
+    # A stream for each episode: its noise is the same however many episodes there are.
+    streams = Streams(each, device)
     obs, _ = env.reset()
     running = np.ones(population * episodes, bool)
     ended = np.zeros_like(running)
     steps = []
     while running.any():
-        seen = torch.as_tensor(obs, dtype=torch.float32).view(population, episodes, obs_dim)
+        seen = torch.as_tensor(obs, dtype=torch.float32, device=device)
+        seen = seen.view(population, episodes, obs_dim)
         seen = seen if policy.actor.obs_dim == obs_dim else extend(seen)
-        noise = streams.normal(episodes, action_dim) if sample else None
-        action = policy.act(seen, noise).view(-1, action_dim).numpy()
+        noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
+        action = policy.act(seen, noise).view(-1, action_dim).cpu().numpy()
         next_obs, reward, terminated, truncated, _ = env.step(action)
         steps.append((obs, action, next_obs, reward, running))
         ended |= running & terminated

@@ -208,12 +208,9 @@ class Trainer:
     def _build(self) -> None:
         """Make the learners, once the statistics that scale their inputs are known."""
         config, population = self.config, len(self.seeds)
-        rows = self.replay.rows[:, : min(self.replay.sizes)]
-        seen = [unpack(rows, self.obs_dim).obs]
-        if self.demonstrations is not None:
-            seen.append(self.demonstrations.obs.expand(population, *self.demonstrations.obs.shape))
         if config.normalise:
-            normaliser = Normaliser.of(*seen)
+            members = [self._statistics(i) for i in range(population)]
+            normaliser = Normaliser(*map(torch.cat, zip(*members, strict=True)))
         else:
             normaliser = Normaliser.identity(population, self.obs_dim, self.device)
         learner = SAC if config.generator == "sac" else TD3
@@ -222,6 +219,20 @@ class Trainer:
             self.discriminator = Discriminator(
                 config, self.obs_dim, self.action_dim, self.streams, normaliser
             )
+
+    def _statistics(self, member: int) -> Normaliser:
+        """Return the scaling by what one member has seen and, half and half, what it was shown.
+
+        That even mixture is what the discriminator will look at. The absorbing state, which is no
+        place on the map, is left out.
+        """
+        rows = self.replay.rows[member, : self.replay.sizes[member]]
+        sources = [unpack(rows, self.obs_dim).obs]
+        if self.demonstrations is not None:
+            sources.append(self.demonstrations.obs)
+        if self.config.absorbing != "none":
+            sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
+        return Normaliser.of(*(obs.unsqueeze(0) for obs in sources))
 
     def _train(self, updates: int) -> None:
         """Train the discriminator `updates` times, then the generator as often."""

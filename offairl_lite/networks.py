@@ -40,10 +40,9 @@ class Normaliser(NamedTuple):
         A coordinate that hardly varies (standard deviation below 1e-3) is only centred: scaling
         it up would turn rounding into signal.
         """
-        means = torch.stack([obs.mean(1, keepdim=True) for obs in sources])
-        squares = torch.stack([obs.square().mean(1, keepdim=True) for obs in sources])
-        mean = means.mean(0)
-        std = (squares.mean(0) - mean.square()).clamp(min=0).sqrt()
+        mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
+        squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
+        std = torch.stack(squares).mean(0).sqrt()
         return cls(mean, torch.where(std < 1e-3, 1.0, std))
 
     def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:

@@ -131,11 +131,9 @@ class SAC:
             Losses and diagnostics of each member.
         """
         config = self.config
-        batch = batch._replace(
-            obs=self.normaliser(batch.obs), next_obs=self.normaliser(batch.next_obs)
-        )
+        obs = self.normaliser(batch.obs)
         target = self._target(batch, reward, absorbing_reward, noise[0])
-        q = self.critic(self.critic_params, batch.obs, batch.action)
+        q = self.critic(self.critic_params, obs, batch.action)
         descend(critic_loss(q, target), self.critic_optimizer)
         metrics = {
             "critic_loss": (q.detach() - target).square().mean(-1).sum(0),
@@ -144,8 +142,8 @@ class SAC:
         }
         self.updates += 1
         if self.updates % config.actor_delay == 0:
-            pre_tanh, log_prob = self.actor.sample(self.actor_params, batch.obs, noise[1])
-            q = self.critic(self.critic_params.detach(), batch.obs, torch.tanh(pre_tanh))
+            pre_tanh, log_prob = self.actor.sample(self.actor_params, obs, noise[1])
+            q = self.critic(self.critic_params.detach(), obs, torch.tanh(pre_tanh))
             value = soft_value(q, self.log_alpha.detach().exp(), log_prob)
             weight = torch.ones_like(value)
             if config.absorbing != "none":
@@ -167,12 +165,13 @@ class SAC:
         noise: Float[Tensor, "S B A"],
     ) -> Float[Tensor, "S B"]:
         config = self.config
-        pre_tanh, log_prob = self.actor.sample(self.actor_params, batch.next_obs, noise)
+        next_obs = self.normaliser(batch.next_obs)
+        pre_tanh, log_prob = self.actor.sample(self.actor_params, next_obs, noise)
         if config.absorbing != "none":
             ended = is_absorbing(batch.next_obs)
             pre_tanh = pre_tanh.masked_fill(ended.unsqueeze(-1), 0)
             log_prob = log_prob.masked_fill(ended, 0)
-        q = self.critic(self.target_params, batch.next_obs, torch.tanh(pre_tanh))
+        q = self.critic(self.target_params, next_obs, torch.tanh(pre_tanh))
         next_value = soft_value(q, self.log_alpha.exp(), log_prob)
         target = bellman_target(reward, batch.terminated, next_value, config.discount)
         if config.absorbing == "analytic":

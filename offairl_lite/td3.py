@@ -83,11 +83,9 @@ class TD3:
             Losses and diagnostics of each member.
         """
         config = self.config
-        batch = batch._replace(
-            obs=self.normaliser(batch.obs), next_obs=self.normaliser(batch.next_obs)
-        )
+        obs = self.normaliser(batch.obs)
         target = self._target(batch, reward, absorbing_reward, noise[0])
-        q = self.critic(self.critic_params, batch.obs, batch.action)
+        q = self.critic(self.critic_params, obs, batch.action)
         descend(critic_loss(q, target), self.critic_optimizer)
         metrics = {
             "critic_loss": (q.detach() - target).square().mean(-1).sum(0),
@@ -95,8 +93,8 @@ class TD3:
         }
         self.updates += 1
         if self.updates % config.actor_delay == 0:
-            action = self.actor.mode(self.actor_params, batch.obs)
-            value = self.critic(self.critic_params.detach(), batch.obs, action)[0]
+            action = self.actor.mode(self.actor_params, obs)
+            value = self.critic(self.critic_params.detach(), obs, action)[0]
             weight = torch.ones_like(value)
             if config.absorbing != "none":
                 weight = (~is_absorbing(batch.obs)).to(value)
@@ -115,11 +113,12 @@ class TD3:
         noise: Float[Tensor, "S B A"],
     ) -> Float[Tensor, "S B"]:
         config = self.config
-        action = smoothed_action(self.actor.mode(self.target_actor_params, batch.next_obs), noise)
+        next_obs = self.normaliser(batch.next_obs)
+        action = smoothed_action(self.actor.mode(self.target_actor_params, next_obs), noise)
         if config.absorbing != "none":
             ended = is_absorbing(batch.next_obs)
             action = action.masked_fill(ended.unsqueeze(-1), 0)
-        next_value = self.critic(self.target_params, batch.next_obs, action).amin(0)
+        next_value = self.critic(self.target_params, next_obs, action).amin(0)
         target = bellman_target(reward, batch.terminated, next_value, config.discount)
         if config.absorbing == "analytic":
             known = analytic_return(reward, absorbing_reward, config.discount)

@@ -1,6 +1,26 @@
-"""One run for everything: how to ask for the book's checks, and the order of the whole."""
+"""One run for everything: how to ask for the book's checks, and the order of the whole.
 
+Below them, what several modules' tests start from: tiny runs and random demonstrations.
+"""
+
+from dataclasses import replace
 from pathlib import Path
+
+import gymnasium
+import minari
+import numpy as np
+import pytest
+import torch
+from minari.data_collector.episode_buffer import EpisodeBuffer
+
+from offairl_lite import demonstrations as module
+from offairl_lite import envs
+from offairl_lite.config import CORRECTED
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.networks import Normaliser
+from offairl_lite.policies import Policy, SquashedGaussian, unsquash
+from offairl_lite.replay import Batch
+from offairl_lite.streams import Streams
 
 
 def pytest_addoption(parser):
@@ -19,3 +39,104 @@ def pytest_collection_modifyitems(items):
             2 * ("book" in getattr(item, "fixturenames", ())) or item.path.suffix == ".ipynb"
         )
     )
+
+
+@pytest.fixture
+def tiny():
+    """A run on the maze that takes a second."""
+    return replace(
+        CORRECTED,
+        total_steps=200,
+        warmup_steps=100,
+        batch_size=8,
+        hidden=(16, 16),
+        reward_hidden=(8, 8),
+        shaping_hidden=(8, 8),
+        eval_every=100,
+        eval_episodes=2,
+    )
+
+
+@pytest.fixture
+def random_demonstrations():
+    """Make demonstrations by acting at random; no file is involved."""
+
+    def make(env_id, episodes=2):
+        env, rng = envs.make(env_id, 1, 0), np.random.default_rng(0)
+        rows, lengths = [], []
+        for _ in range(episodes):
+            obs, done, length = env.reset()[0], False, 0
+            while not done:
+                action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+                next_obs, reward, terminated, truncated, _ = env.step(action)
+                rows.append((obs[0], action[0], next_obs[0], reward[0], terminated[0]))
+                obs, done, length = next_obs, terminated[0] or truncated[0], length + 1
+            lengths.append(length)
+        columns = zip(*rows, strict=True)
+        parts = [torch.as_tensor(np.stack(part), dtype=torch.float32) for part in columns]
+        parts[1] = unsquash(parts[1])
+        return Demonstrations(env_id, Batch(*parts), tuple(lengths))
+
+    return make
+
+
+@pytest.fixture
+def minari_folder(tmp_path, monkeypatch):
+    """Minari keeps its data sets here, and nowhere else."""
+    folder = tmp_path / "minari"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
+    return folder
+
+
+@pytest.fixture
+def write_dataset(minari_folder):
+    """Write a Minari data set of random episodes, after `change(episode)` has had its way."""
+
+    def write(dataset_id, env_id="Pendulum-v1", episodes=2, change=lambda episode: None):
+        env, buffers = gymnasium.make(env_id), []
+        env.action_space.seed(0)
+        for i in range(episodes):
+            obs, done = [env.reset(seed=i)[0]], False
+            actions, rewards = [], []
+            while not done:
+                actions.append(env.action_space.sample())
+                seen, reward, terminated, truncated, _ = env.step(actions[-1])
+                obs.append(seen)
+                rewards.append(float(reward))
+                done = terminated or truncated
+            before = [False] * (len(actions) - 1)
+            episode = EpisodeBuffer(
+                id=i,
+                observations=np.stack(obs),
+                actions=np.stack(actions),
+                rewards=rewards,
+                terminations=[*before, terminated],
+                truncations=[*before, truncated],
+            )
+            change(episode)
+            buffers.append(episode)
+        return minari.create_dataset_from_buffers(
+            dataset_id,
+            buffers,
+            env=env_id,
+            eval_env=env_id,
+            algorithm_name="random",
+            author="tests",
+            author_email="-",
+            code_permalink="-",
+            description="random actions",
+        )
+
+    return write
+
+
+@pytest.fixture
+def shipped_experts(tmp_path, monkeypatch):
+    """Two random policies of the maze, in the place of the shipped experts."""
+    actor = SquashedGaussian(3, 2, (8,))
+    policy = Policy(
+        "offairl/PointMazeLeft-v0", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3)
+    )
+    policy.save(tmp_path / "experts" / "PointMazeLeft.safetensors")
+    monkeypatch.setattr(module, "EXPERTS", tmp_path / "experts")
+    return policy

@@ -1,0 +1,86 @@
+from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
+
+import pytest
+
+from offairl_lite import config
+from offairl_lite.config import CORRECTED, PAPER, RELEASE, Config, differences
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"reward": "airl"}, "reward is 'airl'.*implementation-4"),
+        ({"generator": "ppo"}, "generator is 'ppo'.*'sac', 'td3'"),
+        ({"absorbing": "yes"}, "absorbing is 'yes'.*bootstrap"),
+        ({"penalty_on": "f"}, "penalty_on is 'f'"),
+        ({"discount": 1.1}, "discount is 1.1"),
+        ({"discriminator_discount": -0.1}, "discriminator_discount is -0.1"),
+        ({"target_rate": 2.0}, "target_rate is 2.0"),
+        ({"warmup_hold": 0.5}, "warmup_hold is 0.5"),
+        ({"update_every": 0}, "update_every is 0"),
+        ({"temperature": 0.0}, "temperature is 0.0"),
+        ({"total_steps": 100, "warmup_steps": 101}, "warmup_steps is 101, total_steps 100"),
+        ({"generator": "td3"}, "needs log π"),
+        ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
+        ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
+    ]
+    + [({name: bad}, name) for name in config._POSITIVE for bad in (0, -1, float("nan"))],
+)
+def test_what_makes_no_sense_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(CORRECTED, **change)
+
+
+@pytest.mark.parametrize("reward", ["dac", "environment", "frozen"])
+def test_td3_serves_the_rewards_without_log_prob(reward):
+    assert replace(CORRECTED, generator="td3", reward=reward).generator == "td3"
+
+
+@pytest.mark.parametrize(
+    ("reward", "learned"),
+    [("implementation-1", True), ("dac", True), ("environment", False), ("frozen", False)],
+)
+def test_which_rewards_are_learned(reward, learned):
+    assert Config(reward=reward).learns_reward is learned
+
+
+def test_a_configuration_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        CORRECTED.discount = 0.5
+
+
+def test_differences_are_the_fields_that_differ_with_both_values():
+    assert differences(CORRECTED, CORRECTED) == {}
+    changed = replace(CORRECTED, discount=0.5, hidden=(8,))
+    assert differences(CORRECTED, changed) == {
+        "hidden": ((400, 300), (8,)),
+        "discount": (0.99, 0.5),
+    }
+
+
+def test_presets_are_those_of_the_paper_and_its_code():
+    assert differences(CORRECTED, PAPER) == {"normalise": (True, False)}
+    assert PAPER.hidden == (400, 300)
+    assert PAPER.reward_hidden == PAPER.shaping_hidden == (100, 100)
+    assert PAPER.discriminator_activation == "tanh"
+    released = {name: pair[1] for name, pair in differences(PAPER, RELEASE).items()}
+    assert released == {
+        "hidden": (256, 256),
+        "temperature": None,
+        "log_std_range": (-20.0, 2.0),
+        "log_density": "released",
+        "policy_in_logit": False,
+        "discriminator_discount": 0.9,
+        "reward_hidden": (256, 256),
+        "discriminator_activation": "relu",
+        "penalty_on": "probability",
+    }
+
+
+def test_every_field_is_explained():
+    # dataclasses drop the docstrings of fields; the source has them.
+    source = Path(config.__file__).read_text("utf-8")
+    for field in fields(Config):
+        after = source.split(f"\n    {field.name}: ", 1)[1].split("\n    ", 2)
+        assert after[1].startswith('"""'), field.name

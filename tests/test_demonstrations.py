@@ -1,0 +1,161 @@
+import minari
+import numpy as np
+import pytest
+import torch
+
+from offairl_lite import demonstrations
+from offairl_lite.demonstrations import load, short_name
+from offairl_lite.evaluate import rollout
+
+MAZE = "offairl/PointMazeLeft-v0"
+
+
+def test_a_data_set_of_one_s_own_is_loaded_with_its_actions_rescaled(write_dataset):
+    dataset = write_dataset("my/pendulum-v0")
+    data = load("Pendulum-v1", 2, "my/pendulum-v0")
+    assert (data.env_id, data.lengths, len(data)) == ("Pendulum-v1", (200, 200), 2)
+    episodes = list(dataset.iterate_episodes())
+    actions = np.concatenate([episode.actions for episode in episodes])
+    assert np.abs(actions).max() > 1.9  # the task's bounds are ±2
+    np.testing.assert_allclose(data.transitions.action, actions / 2, atol=1e-6)
+    parts = {
+        "obs": [episode.observations[:-1] for episode in episodes],
+        "next_obs": [episode.observations[1:] for episode in episodes],
+        "reward": [episode.rewards for episode in episodes],
+    }
+    for name, arrays in parts.items():
+        wanted = np.concatenate(arrays)
+        np.testing.assert_allclose(getattr(data.transitions, name), wanted, rtol=1e-6)
+    # A time limit is no termination.
+    assert (data.transitions.terminated == 0).all()
+    returns = [sum(episode.rewards) for episode in episodes]
+    np.testing.assert_allclose(data.returns, returns, rtol=1e-5)
+
+
+def test_terminations_are_kept(write_dataset):
+    write_dataset("my/hopper-v0", "Hopper-v5", episodes=3)
+    data = load("Hopper-v5", 3, "my/hopper-v0")
+    ends = np.cumsum(data.lengths) - 1
+    assert data.transitions.terminated.nonzero().squeeze(1).tolist() == ends.tolist()
+
+
+def test_the_first_trajectories_are_taken(write_dataset):
+    write_dataset("my/pendulum-v0", episodes=3)
+    few, many = (load("Pendulum-v1", n, "my/pendulum-v0") for n in (1, 3))
+    assert torch.equal(few.transitions.obs, many.transitions.obs[:200])
+
+
+def at(part, index, value):
+    """A change to one entry of an episode's part."""
+
+    def change(episode):
+        getattr(episode, part)[index] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            at("observations", (3, 1), np.nan),
+            r"expected finite observations; found 1 .*\[\[3 1\]\]",
+        ),
+        (at("actions", (0, 0), np.inf), "expected finite actions; found 1"),
+        (at("rewards", 5, np.nan), r"expected finite rewards; found 1 .*\[\[5\]\]"),
+        (
+            at("actions", (7, 0), 2.5),
+            r"expected actions in \[\[-2\.\], \[2\.\]\]; found .* to 2\.5",
+        ),
+        (at("truncations", 199, False), r"expected one end.*\(199\); found ends at \[\]"),
+        (at("terminations", 50, True), r"expected one end.*\(199\); found ends at \[50, 199\]"),
+    ],
+)
+def test_wrong_data_are_refused_with_what_was_expected_and_what_was_found(
+    write_dataset, change, message
+):
+    write_dataset("my/pendulum-v0", episodes=1, change=change)
+    with pytest.raises(ValueError, match=r"my/pendulum-v0, episode 0: " + message):
+        load("Pendulum-v1", 1, "my/pendulum-v0")
+
+
+def test_data_of_another_task_are_refused(write_dataset):
+    write_dataset("my/pendulum-v0")
+    message = r"expected observations of shape \(201, 11\); found \(201, 3\)"
+    with pytest.raises(ValueError, match=message):
+        load("Hopper-v5", 2, "my/pendulum-v0")
+    # The maze's observations are three numbers as well; its actions are two.
+    message = r"expected actions of shape \(200, 2\); found \(200, 1\)"
+    with pytest.raises(ValueError, match=message):
+        load(MAZE, 2, "my/pendulum-v0")
+
+
+def test_too_few_trajectories_are_refused(write_dataset):
+    write_dataset("my/pendulum-v0", episodes=2)
+    with pytest.raises(ValueError, match="3 trajectories were asked for; it has 2"):
+        load("Pendulum-v1", 3, "my/pendulum-v0")
+    with pytest.raises(ValueError, match="trajectories is 0"):
+        load("Pendulum-v1", 0, "my/pendulum-v0")
+
+
+def test_an_unknown_data_set_is_refused_and_those_there_are_listed(write_dataset):
+    with pytest.raises(FileNotFoundError, match=r"'my/other-v0'.*no data set at all"):
+        load("Pendulum-v1", 1, "my/other-v0")
+    write_dataset("my/pendulum-v0", episodes=1)
+    with pytest.raises(FileNotFoundError, match=r"'my/other-v0'.*my/pendulum-v0"):
+        load("Pendulum-v1", 1, "my/other-v0")
+
+
+def test_a_task_without_experts_lists_those_that_have_some(minari_folder, shipped_experts):
+    with pytest.raises(FileNotFoundError, match=r"Pendulum-v1 \(there are: PointMazeLeft\)"):
+        load("Pendulum-v1")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "name"), [(MAZE, "PointMazeLeft"), ("Hopper-v5", "Hopper"), ("a/b-c-v12", "b-c")]
+)
+def test_short_names(env_id, name):
+    assert short_name(env_id) == name
+
+
+def test_experts_make_fifty_trajectories_the_first_time_and_the_same_ones_again(
+    minari_folder, shipped_experts, monkeypatch
+):
+    data = load(MAZE)
+    assert data.lengths == (100,) * 50
+    assert minari.list_local_datasets().keys() == {"offairl/PointMazeLeft/experts-50-v0"}
+    assert (data.transitions.terminated == 0).all()
+
+    monkeypatch.setattr(demonstrations, "generate", None)  # it is not made a second time
+    again = load(MAZE)
+    assert all(map(torch.equal, data.transitions, again.transitions))
+
+
+def test_two_folders_get_the_same_data(tmp_path, shipped_experts, monkeypatch):
+    made = []
+    for name in ("one", "other"):
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / name))
+        made.append(load(MAZE, 6))
+    assert all(map(torch.equal, made[0].transitions, made[1].transitions))
+
+
+def test_a_trajectory_is_the_same_whether_few_are_asked_for_or_many(minari_folder, shipped_experts):
+    few, many = load(MAZE, 3), load(MAZE, 11)
+    assert (few.lengths, many.lengths) == ((100,) * 3, (100,) * 11)
+    torch.testing.assert_close(few.transitions.obs, many.transitions.obs[:300], rtol=0, atol=1e-4)
+
+
+def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_experts):
+    load(MAZE, 5)
+    dataset = minari.load_dataset("offairl/PointMazeLeft/experts-5-v0")
+    episodes = list(dataset.iterate_episodes())
+    made = rollout(shipped_experts, MAZE, range(2), 3, sample=True, purpose=demonstrations.PURPOSE)
+    for i, episode in enumerate(episodes):
+        np.testing.assert_array_equal(episode.observations[:-1], made.obs[i % 2, i // 2])
+        np.testing.assert_array_equal(episode.actions, made.action[i % 2, i // 2])
+    # Whose policy it was can be seen: the noise of 100 steps averages out.
+    obs = torch.as_tensor(np.stack([e.observations[:-1] for e in episodes]), dtype=torch.float32)
+    actions = np.stack([e.actions for e in episodes])
+    means = [shipped_experts.member(m).act(obs.flatten(0, 1)[None]).view(5, 100, 2) for m in (0, 1)]
+    distance = [np.square(actions.mean(1) - m.numpy().mean(1)).sum(-1) for m in means]
+    assert (np.argmin(distance, 0) == np.arange(5) % 2).all()

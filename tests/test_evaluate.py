@@ -1,0 +1,139 @@
+import gymnasium
+import numpy as np
+import pytest
+import scipy.stats
+import torch
+
+from offairl_lite.evaluate import bootstrap_interval, episode_seeds, interquartile_mean, rollout
+from offairl_lite.networks import Normaliser
+from offairl_lite.policies import Policy, SquashedGaussian
+from offairl_lite.streams import Streams
+
+TASKS = {"offairl/PointMazeLeft-v0": (3, 2), "Hopper-v5": (11, 3)}
+SEEDS, EPISODES = (4, 9), 3
+
+
+def random_policy(env_id, extra=0):
+    obs_dim, action_dim = TASKS[env_id]
+    actor = SquashedGaussian(obs_dim + extra, action_dim, (8,))
+    params = actor.init(Streams(SEEDS))
+    return Policy(env_id, actor, params, Normaliser.identity(2, obs_dim + extra))
+
+
+def by_hand(policy, env_id, seed):
+    """One episode of a one-member policy's mode in Gymnasium's own environment."""
+    env = gymnasium.make(env_id)
+    obs, _ = env.reset(seed=seed)
+    steps, terminated, truncated = [], False, False
+    while not (terminated or truncated):
+        seen = torch.as_tensor(obs, dtype=torch.float32).view(1, 1, -1)
+        action = policy.act(seen)[0, 0].numpy()
+        next_obs, reward, terminated, truncated, _ = env.step(action)
+        steps.append((obs, action, next_obs, reward))
+        obs = next_obs
+    env.close()
+    return [np.array(part) for part in zip(*steps, strict=True)], terminated
+
+
+@pytest.mark.parametrize("env_id", TASKS)
+def test_episodes_are_those_of_a_plain_loop_padded_at_their_end(env_id):
+    policy = random_policy(env_id)
+    episodes = rollout(policy, env_id, SEEDS, EPISODES)
+    seeds = np.reshape(episode_seeds(SEEDS, EPISODES), (2, EPISODES))
+    for s in range(2):
+        for e in range(EPISODES):
+            parts, terminated = by_hand(policy.member(s), env_id, int(seeds[s, e]))
+            length = len(parts[3])
+            assert episodes.lengths[s, e] == length
+            assert episodes.terminated[s, e] == terminated
+            assert episodes.running[s, e].tolist() == [True] * length + [False] * (
+                episodes.running.shape[2] - length
+            )
+            for got, wanted in zip(episodes[:4], parts, strict=True):
+                np.testing.assert_allclose(got[s, e, :length], wanted, rtol=1e-4, atol=1e-4)
+                assert (got[s, e, length:] == 0).all()
+            assert episodes.returns[s, e] == pytest.approx(parts[3].sum(), rel=1e-5)
+    early = env_id == "Hopper-v5"
+    assert episodes.terminated.all() == early
+    assert (len(np.unique(episodes.lengths)) > 1) == early
+
+
+def test_same_seeds_same_episodes():
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    one, other = (rollout(policy, policy.env_id, SEEDS, 2, sample=True) for _ in range(2))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+    apart = rollout(policy, policy.env_id, SEEDS, 2, sample=True, purpose=1)
+    # The start has a velocity that is not seen; the noise is seen at once.
+    assert (one.next_obs[:, :, 0] != apart.next_obs[:, :, 0]).any(-1).all()
+    assert (np.abs(one.action - apart.action).max((2, 3)) > 0.1).all()
+
+
+@pytest.mark.parametrize("sample", [False, True])
+def test_an_episode_does_not_depend_on_how_many_others_there_are(sample):
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    many = rollout(policy, policy.env_id, SEEDS, 20, sample=sample)
+    few = rollout(policy.member(1), policy.env_id, SEEDS[1:], 2, sample=sample)
+    np.testing.assert_allclose(many.action[1:, :2], few.action, atol=1e-4)
+    np.testing.assert_allclose(many.obs[1:, :2], few.obs, atol=1e-4)
+
+
+def test_samples_are_not_the_mode():
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    mode, sample = (rollout(policy, policy.env_id, SEEDS, 1, sample=s) for s in (False, True))
+    assert np.abs(mode.action - sample.action).max() > 0.1
+
+
+def test_episode_seeds_depend_on_member_purpose_and_episode():
+    seeds = episode_seeds((0, 1, 2), 4)
+    assert len(set(seeds) | set(episode_seeds((0, 1, 2), 4, purpose=1))) == 24
+    assert episode_seeds((1,), 4) == seeds[4:8]
+    assert episode_seeds((1,), 2) == seeds[4:6]
+
+
+def test_a_policy_with_an_absorbing_indicator_acts_on_the_plain_task():
+    env_id = "offairl/PointMazeLeft-v0"
+    extended = random_policy(env_id, extra=1)
+    weight = extended.params[:, 8 : 8 + 4 * 8].view(2, 4, 8)
+    weight[:, 3] = 1e3  # what the indicator, 0 outside the absorbing state, is weighted with
+    episodes = rollout(extended, env_id, SEEDS, 1)
+    weight[:, 3] = 0
+    np.testing.assert_array_equal(rollout(extended, env_id, SEEDS, 1).obs, episodes.obs)
+
+
+def test_misfits_are_refused():
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    with pytest.raises(ValueError, match="3 seeds for a policy of 2 members"):
+        rollout(policy, policy.env_id, (0, 1, 2), 1)
+    with pytest.raises(ValueError, match="sees 3 numbers; Hopper-v5 gives 11"):
+        rollout(policy, "Hopper-v5", SEEDS, 1)
+
+
+def test_the_interquartile_mean_is_that_of_the_middle_half():
+    values = np.array([1e6, 3.0, 4.0, 2.0, 5.0, -1e6, 0.0, 9.0])
+    assert interquartile_mean(values) == (2 + 3 + 4 + 5) / 4
+    columns = np.stack([values, np.arange(8.0)], 1)
+    np.testing.assert_array_equal(interquartile_mean(columns), [3.5, 3.5])
+
+
+def test_the_interval_of_two_values_is_between_them():
+    # A quarter of the resamples is twice the lower value, a quarter twice the higher.
+    low, high = bootstrap_interval(np.array([[1.0, 7.0], [2.0, 5.0]]))
+    assert (low.tolist(), high.tolist()) == ([1, 5], [2, 7])
+
+
+def test_the_interval_of_equal_values_and_of_one_has_no_width():
+    for values in (np.full((5, 1), 3.0), np.array([[3.0]])):
+        low, high = bootstrap_interval(values)
+        assert low == high == 3
+
+
+def test_the_interval_is_that_of_resampled_means():
+    values = np.random.default_rng(3).normal(size=(20, 1))
+    rng = np.random.default_rng(5)
+    means = scipy.stats.trim_mean(values[rng.integers(20, size=(20, 20_000)), 0], 0.25)
+    low, high = bootstrap_interval(values, 0.9)
+    np.testing.assert_allclose([low[0], high[0]], np.quantile(means, [0.05, 0.95]), atol=0.03)
+    assert low < interquartile_mean(values) < high
+    wider = bootstrap_interval(values, 0.99)
+    assert wider[0] < low < high < wider[1]

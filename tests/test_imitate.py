@@ -1,0 +1,272 @@
+"""The training loop: its schedule, its reproducibility, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from offairl_lite.config import RELEASE
+from offairl_lite.discriminators import Discriminator, Reward
+from offairl_lite.imitate import Trainer, train
+from offairl_lite.networks import Normaliser, StackedMLP
+from offairl_lite.sac import SAC
+from offairl_lite.streams import Streams
+
+MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
+
+
+@pytest.fixture
+def maze(random_demonstrations):
+    return random_demonstrations(MAZE)
+
+
+def frozen_reward(members, env_id=MAZE, obs_dim=3):
+    net = StackedMLP((obs_dim, 4, 1), "tanh")
+    params = net.init(Streams(range(members)))
+    return Reward(env_id, net, True, params, Normaliser.identity(members, obs_dim))
+
+
+def run(config, seeds, *given):
+    return train(config, seeds, *given, progress=False)
+
+
+def assert_same(one, other):
+    """Two runs with the same seeds are the same, bit for bit."""
+    assert torch.equal(one.policy.params, other.policy.params)
+    assert [row._replace(learned_return=0) for row in one.rows] == [
+        row._replace(learned_return=0) for row in other.rows
+    ]
+    np.testing.assert_array_equal(*([row.learned_return for row in r.rows] for r in (one, other)))
+    if one.reward is not None:
+        assert torch.equal(one.reward.params, other.reward.params)
+
+
+def test_same_seeds_same_run(tiny, maze):
+    assert_same(run(tiny, (1, 3), maze), run(tiny, (1, 3), maze))
+
+
+def test_a_member_trains_alone_as_among_others(tiny, maze):
+    # The same numbers are drawn; sums differ in their order only, which 400 updates of each
+    # network leave far below 1e-3.
+    config = replace(tiny, temperature=None, total_steps=400)
+    together, alone = run(config, (1, 3, 7), maze), run(config, (3,), maze)
+    torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
+    torch.testing.assert_close(together.reward.params[1:2], alone.reward.params, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(together.returns[1:2], alone.returns, rtol=1e-3)
+    assert np.abs(together.returns[0] - together.returns[1]).max() > 1e-2
+
+
+def test_blocks_of_an_episode_s_length_are_the_ends_of_episodes(tiny, maze):
+    assert_same(run(tiny, (0, 1), maze), run(replace(tiny, update_every=100), (0, 1), maze))
+
+
+def test_another_block_length_is_another_run(tiny, maze):
+    one, other = run(tiny, (0,), maze), run(replace(tiny, update_every=50), (0,), maze)
+    assert not torch.equal(one.policy.params, other.policy.params)
+
+
+def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_up(tiny, maze):
+    config = replace(tiny, total_steps=400, warmup_steps=250, eval_every=50)
+    trainer = Trainer(config, (0, 1), maze)
+    done = [(rows[0].step, trainer.generator.updates) for rows in trainer.run()]
+    assert done == [(250, 200), (300, 300), (350, 300), (400, 400)]
+    assert trainer.episodes.tolist() == [4, 4]
+
+
+def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze):
+    config = replace(tiny, update_every=51, warmup_steps=51, total_steps=102)
+    trainer = Trainer(config, (0,), maze)
+    list(trainer.run())
+    assert trainer.generator.updates == 102
+
+
+def test_the_discriminator_is_trained_first_and_the_generator_after_it(tiny, maze, monkeypatch):
+    order = []
+    for kind in (Discriminator, SAC):
+        original = kind.update
+
+        def update(self, *batch, original=original):
+            order.append(type(self))
+            return original(self, *batch)
+
+        monkeypatch.setattr(kind, "update", update)
+    run(tiny, (0,), maze)
+    assert order == ([Discriminator] * 100 + [SAC] * 100) * 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"reward": "implementation-1"},
+        {"reward": "implementation-2", "log_density": "released"},
+        {"reward": "implementation-3"},
+        {"reward": "dac", "generator": "td3"},
+        {"reward": "dac"},
+        {"warmup_hold": 5.0, "temperature": None},
+    ],
+    ids=str,
+)
+def test_every_variant_trains_and_evaluates(tiny, maze, change):
+    result = run(replace(tiny, **change), (0, 1), maze)
+    assert result.steps.tolist() == [100, 200]
+    assert result.returns.shape == (2, 2)
+    assert all(np.isfinite(row.learned_return) for row in result.rows)
+    first, last = result.rows[0], result.rows[-1]
+    assert (first.seed, last.seed, last.step, last.episodes) == (0, 1, 200, 2)
+    assert last.mean_return == pytest.approx(np.mean(last.returns))
+    assert len(last.returns) == 2
+    assert {"critic_loss", "cross_entropy", "penalty"} <= set(last.metrics)
+
+
+def test_the_released_preset_trains(tiny, maze):
+    config = replace(
+        RELEASE, total_steps=200, warmup_steps=100, batch_size=8, hidden=(8,), eval_episodes=2
+    )
+    config = replace(config, reward_hidden=(8,), shaping_hidden=(8,))
+    assert np.isfinite(run(config, (0,), maze).returns).all()
+
+
+def test_the_learned_return_is_the_sum_of_the_reward_along_the_episode(tiny):
+    reward = frozen_reward(1)
+    reward.params.zero_()
+    reward.params[:, reward.net.num_params - 5] = 2.0  # the last bias, followed by 4 weights
+    result = run(replace(tiny, reward="frozen"), (0,), None, reward)
+    assert result.rows[-1].learned_return == pytest.approx(2.0 * 100)
+
+
+def test_the_task_s_own_reward_needs_no_demonstrations(tiny):
+    result = run(replace(tiny, reward="environment"), (0,))
+    assert result.reward is None
+    assert np.isnan(result.rows[-1].learned_return)
+
+
+def test_a_frozen_reward_is_given_back_unchanged(tiny):
+    reward = frozen_reward(2)
+    before = reward.params.clone()
+    result = run(replace(tiny, reward="frozen"), (0, 1), None, reward)
+    assert torch.equal(result.reward.params, before)
+
+
+def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
+    often, rarely = (run(replace(tiny, eval_every=n), (0,), maze) for n in (50, 200))
+    assert torch.equal(often.policy.params, rarely.policy.params)
+
+
+def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze):
+    trainer = Trainer(tiny, (0,), maze)
+    next(trainer.run())
+    seen = trainer.replay.rows[:, :100, :3]
+    expected = Normaliser.of(seen, maze.transitions.obs.unsqueeze(0))
+    for part, wanted in zip(trainer.generator.normaliser, expected, strict=True):
+        torch.testing.assert_close(part, wanted)
+    assert trainer.discriminator.normaliser is trainer.generator.normaliser
+    plain = Trainer(replace(tiny, normalise=False), (0,), maze)
+    next(plain.run())
+    assert (plain.generator.normaliser.mean == 0).all()
+    assert (plain.generator.normaliser.std == 1).all()
+
+
+# Episodes that end when they like.
+
+
+@pytest.mark.parametrize("mode", ["none", "bootstrap", "analytic"])
+@pytest.mark.parametrize("generator", ["sac", "td3"])
+def test_members_that_end_at_different_times_train_in_blocks(
+    tiny, random_demonstrations, mode, generator
+):
+    config = replace(
+        tiny,
+        env_id=HOPPER,
+        update_every=50,
+        absorbing=mode,
+        generator=generator,
+        reward="implementation-1" if generator == "sac" else "dac",
+    )
+    trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER, episodes=5))
+    rows = [row for both in trainer.run() for row in both]
+    assert all(np.isfinite([row.mean_return, row.learned_return]).all() for row in rows)
+    assert trainer.generator.updates == 200
+    assert (trainer.episodes > 1).all()
+    # Each termination adds the loop, which is the absorbing state's only transition.
+    loops = trainer.episodes if mode != "none" else np.zeros(2)
+    np.testing.assert_array_equal(trainer.replay.sizes, 200 + loops)
+    if mode != "none":
+        held = [trainer.replay.rows[i, :n] for i, n in enumerate(trainer.replay.sizes)]
+        indicator = trainer.obs_dim - 1
+        np.testing.assert_array_equal([(r[:, indicator] == 1).sum() for r in held], loops)
+        # The indicator stays 0 or 1 for the networks.
+        assert (trainer.generator.normaliser.mean[..., -1] == 0).all()
+        assert (trainer.generator.normaliser.std[..., -1] == 1).all()
+        # Demonstrations have their loops too.
+        assert (trainer.demonstrations.obs[:, -1] == 1).sum() == 5
+
+
+def test_a_time_limit_makes_no_absorbing_state(tiny, maze):
+    trainer = Trainer(replace(tiny, absorbing="bootstrap"), (0, 1), maze)
+    list(trainer.run())
+    assert trainer.replay.sizes == [200, 200]
+    assert (trainer.replay.rows[:, :200, trainer.obs_dim - 1] == 0).all()
+    # Nor a termination.
+    assert (trainer.replay.rows[..., -1] == 0).all()
+
+
+def test_without_blocks_members_must_end_together(tiny):
+    config = replace(tiny, env_id=HOPPER, reward="environment")
+    with pytest.raises(ValueError, match=r"different times.*update_every"):
+        run(config, (0, 1))
+
+
+# Refusals.
+
+
+@pytest.mark.parametrize(("delay", "tensor"), [(2, "actor"), (10**9, "critics")])
+def test_divergence_names_seed_step_and_tensor(tiny, delay, tensor):
+    reward = frozen_reward(2)
+    reward.params[1] = torch.nan
+    config = replace(tiny, reward="frozen", actor_delay=delay)
+    with pytest.raises(FloatingPointError, match=f"seed 7 diverged by step 100: {tensor}"):
+        run(config, (3, 7), None, reward)
+
+
+def test_the_rows_before_a_divergence_are_handed_out(tiny, monkeypatch):
+    original, rows = SAC.update, []
+
+    def update(self, *batch):
+        if self.updates == 150:
+            self.critic_params.data[:, 1] = torch.inf
+        return original(self, *batch)
+
+    monkeypatch.setattr(SAC, "update", update)
+    config = replace(tiny, reward="environment")
+    with pytest.raises(FloatingPointError, match="seed 7 diverged by step 200"):
+        train(config, (3, 7), progress=False, on_rows=rows.append)
+    assert [both[0].step for both in rows] == [100]
+
+
+def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
+    with pytest.raises(ValueError, match="'implementation-4' is learned from demonstrations"):
+        Trainer(tiny, (0,))
+    right = replace(tiny, env_id="offairl/PointMazeRight-v0")
+    with pytest.raises(ValueError, match=r"demonstrations of .*Left-v0 for a run on .*Right-v0"):
+        Trainer(right, (0,), maze)
+
+
+def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze):
+    frozen = replace(tiny, reward="frozen")
+    with pytest.raises(ValueError, match="3 frozen rewards for 2 seeds"):
+        Trainer(frozen, (0, 1), None, frozen_reward(3))
+    with pytest.raises(ValueError, match="go together"):
+        Trainer(frozen, (0, 1))
+    with pytest.raises(ValueError, match="go together"):
+        Trainer(tiny, (0,), maze, frozen_reward(1))
+
+
+def test_no_seeds_no_run(tiny, maze):
+    with pytest.raises(ValueError, match="no seeds"):
+        Trainer(tiny, (), maze)
+
+
+def test_an_unknown_task_is_refused(tiny):
+    with pytest.raises(ValueError, match="unknown environment 'Nowhere-v0'"):
+        Trainer(replace(tiny, env_id="Nowhere-v0", reward="environment"), (0,))

@@ -1,0 +1,82 @@
+"""The modules form a straight line, and nothing draws from a global random state."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import offairl_lite
+
+ROOT = Path(offairl_lite.__file__).parent
+ORDER = """
+scale config streams envs networks policies replay absorbing evaluate demonstrations rewards
+discriminators sac td3 imitate records experiments plots video cli
+""".split()  # noqa: SIM905
+FILES = sorted(ROOT.rglob("*.py"))
+IDS = [path.relative_to(ROOT).with_suffix("").as_posix() for path in FILES]
+
+
+def layer(path):
+    """The module's name; all of `envs` is one layer."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imported(tree):
+    """Names of the package's modules that are imported anywhere in a file."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from (n.split(".")[1] for n in names if n.startswith("offairl_lite."))
+
+
+def dotted(node):
+    """`np.random.rand` for the expression of that name, and nothing for others."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def test_every_module_has_its_place_in_the_line():
+    assert {layer(path) for path in FILES} - {"__init__"} == set(ORDER)
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_a_module_imports_only_from_those_above_it(path):
+    if path == ROOT / "__init__.py":
+        return
+    here = layer(path)
+    above = ORDER[: ORDER.index(here)] + [here] * (here == "envs")
+    assert set(imported(ast.parse(path.read_text("utf-8")))) <= set(above)
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_only_scale_reads_the_environment(path):
+    names = {dotted(node) for node in ast.walk(ast.parse(path.read_text("utf-8")))}
+    reads = bool(names & {"os.environ", "os.getenv", "environ", "getenv"})
+    assert reads == (path == ROOT / "scale.py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_no_module_uses_global_random_state(path):
+    owned = {"default_rng", "SeedSequence", "Generator", "PCG64"}
+    draws = {"rand", "randn", "randint", "randperm", "normal", "multinomial", "bernoulli"}
+    in_place = {"normal_", "uniform_", "random_", "bernoulli_", "exponential_"}
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            assert "random" not in {alias.name for alias in node.names}
+            continue
+        name = dotted(node) if isinstance(node, ast.Attribute) else ""
+        if name.startswith(("np.random.", "numpy.random.")):
+            assert name.split(".")[2] in owned, name
+        assert name not in ("torch.manual_seed", "torch.seed", "torch.random"), name
+        if isinstance(node, ast.Call):
+            called = dotted(node.func)
+            from_torch = called.startswith("torch.") and called.split(".")[-1] in draws
+            if from_torch or called.split(".")[-1] in in_place:
+                assert "generator" in {keyword.arg for keyword in node.keywords}, called

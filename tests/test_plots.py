@@ -1,0 +1,84 @@
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import torch
+from matplotlib.colors import to_hex
+
+from offairl_lite import plots
+from offairl_lite.discriminators import Reward
+from offairl_lite.envs.models import GOAL
+from offairl_lite.evaluate import bootstrap_interval, interquartile_mean
+from offairl_lite.networks import Normaliser, StackedMLP
+from offairl_lite.streams import Streams
+
+
+@pytest.fixture
+def ax():
+    plt.switch_backend("agg")
+    with plots.style():
+        figure, axes = plt.subplots()
+        yield axes
+        plt.close(figure)
+
+
+@pytest.mark.parametrize("members", [1, 5])
+def test_a_curve_is_the_interquartile_mean_its_band_and_every_member(ax, members):
+    steps = np.array([100, 200, 300])
+    returns = np.random.default_rng(0).normal(size=(members, 3))
+    plots.curve(ax, steps, returns, "imitation", plots.ORANGE)
+    *each, mean = ax.lines
+    np.testing.assert_array_equal(
+        mean.get_xydata(), np.stack([steps, interquartile_mean(returns)], 1)
+    )
+    assert (mean.get_label(), to_hex(mean.get_color())) == ("imitation", plots.ORANGE.lower())
+    np.testing.assert_array_equal([line.get_ydata() for line in each], returns)
+    # Only the mean has an entry in the legend.
+    assert ax.get_legend_handles_labels()[1] == ["imitation"]
+    corners = ax.collections[0].get_paths()[0].vertices[:, 1]
+    low, high = bootstrap_interval(returns)
+    assert (corners.min(), corners.max()) == (low.min(), high.max())
+
+
+def test_a_level_is_drawn_where_it_is_and_named(ax):
+    plots.level(ax, -7.4, "expert")
+    assert set(ax.lines[0].get_ydata()) == {-7.4}
+    assert ax.texts[0].get_text() == "expert"
+
+
+@pytest.mark.parametrize("member", [0, 1])
+def test_a_reward_map_is_the_reward_shifted_so_that_its_best_is_0(ax, member):
+    net = StackedMLP((3, 8, 1), "tanh")
+    params = net.init(Streams((0, 1)))
+    reward = Reward("offairl/PointMazeLeft-v0", net, True, params, Normaliser.identity(2, 3))
+    image = plots.reward_map(ax, reward, "Left", member, resolution=5)
+    values = np.asarray(image.get_array())
+    assert values.max() == 0
+    assert values.min() < -1e-3
+    # Row and column are y and x.
+    places = np.linspace(-0.08, 0.58, 5)
+    obs = np.array([[[places[3], places[1], 0.0]], [[places[0], places[4], 0.0]]], np.float32)
+    pair = reward.member(member, member)(torch.as_tensor(obs))[:, 0]
+    np.testing.assert_allclose(values[1, 3] - values[4, 0], pair[0] - pair[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_a_maze_has_its_walls_its_start_and_its_goal(ax, side):
+    plots.maze(ax, side)
+    walls = ax.collections[0].get_segments()
+    assert len(walls) == 5
+    # The barrier leaves its gap on the other side: Left's on the right.
+    barrier = next(w for w in walls if np.allclose(w[:, 1], 0.3))
+    np.testing.assert_allclose(sorted(barrier[:, 0]), [-0.1, 0.4] if side == "Left" else [0.2, 0.6])
+    np.testing.assert_allclose(ax.lines[1].get_xydata()[0], GOAL[:2])
+
+
+def test_trajectories_are_drawn_each_and_named_once(ax):
+    paths = np.random.default_rng(0).normal(size=(3, 4, 3))
+    plots.trajectories(ax, paths, label="expert")
+    np.testing.assert_array_equal([line.get_xydata() for line in ax.lines], paths[..., :2])
+    assert ax.get_legend_handles_labels()[1] == ["expert"]
+
+
+def test_a_figure_says_its_scale(ax):
+    plots.mark(ax, 6_000, 1_000_000, (0, 1, 2), "demo")
+    assert ax.get_title("left") == "demo scale · 3 seeds · 6,000 of 1,000,000 steps"

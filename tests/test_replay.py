@@ -1,0 +1,99 @@
+import pytest
+import torch
+
+from offairl_lite.replay import Batch, Replay, gather, pack, unpack
+from offairl_lite.streams import Streams
+
+
+def numbered(values, obs_dim=2, action_dim=1):
+    """One transition for each value, recognisable in all its parts."""
+    x = torch.tensor(values, dtype=torch.float32)
+    obs = x.unsqueeze(-1).expand(-1, obs_dim)
+    return Batch(obs, x.unsqueeze(-1).expand(-1, action_dim) + 0.25, obs + 0.5, -x, x % 2)
+
+
+def held(replay, member):
+    return sorted(replay.rows[member, : replay.sizes[member], 0].tolist())
+
+
+def test_packing_is_undone_by_unpacking():
+    streams = Streams((0, 1))
+    batch = Batch(*(streams.normal(4, n) for n in (3, 2, 3)), *(streams.normal(4) for _ in "rt"))
+    assert pack(batch).shape == (2, 4, 10)
+    for part, again in zip(batch, unpack(pack(batch), 3), strict=True):
+        assert torch.equal(part, again)
+
+
+def test_minibatches_are_cut_from_the_second_axis():
+    wide, flat = Streams((0, 1)).normal(5, 2), torch.arange(10.0).view(2, 5)
+    batch = Batch(wide, wide, wide, flat, flat)
+    parts = batch.split(2)
+    assert [part.reward.shape[1] for part in parts] == [2, 2, 1]
+    for whole, *pieces in zip(batch, *parts, strict=True):
+        assert torch.equal(whole, torch.cat(pieces, 1))
+
+
+def test_actions_are_squashed():
+    batch = numbered([0.0, 1.0])
+    assert torch.equal(batch.action, torch.tanh(batch.pre_tanh))
+
+
+def test_each_member_is_gathered_from_its_own_rows():
+    rows = Streams(range(3)).normal(4, 2)
+    index = torch.tensor([[0, 3, 3], [1, 1, 0], [2, 0, 1]])
+    expected = torch.stack([r[i] for r, i in zip(rows, index, strict=True)])
+    assert torch.equal(gather(rows, index), expected)
+
+
+def test_the_oldest_are_overwritten():
+    replay = Replay(2, 3, 2, 1)
+    for step in range(5):
+        replay.add(numbered([step, 10 + step]))
+    assert replay.sizes == [3, 3]
+    assert held(replay, 0) == [2, 3, 4]
+    assert held(replay, 1) == [12, 13, 14]
+
+
+def test_members_fill_at_their_own_pace():
+    replay = Replay(3, 4, 2, 1)
+    replay.add(numbered([0, 10, 20]))
+    replay.add(numbered([11]), torch.tensor([1]))
+    replay.add(numbered([2, 22]), torch.tensor([0, 2]))
+    replay.add(numbered([13, 23]), torch.tensor([1, 2]))
+    assert [held(replay, i) for i in range(3)] == [[0, 2], [10, 11, 13], [20, 22, 23]]
+
+
+def test_samples_are_the_rows_held_and_no_others():
+    replay = Replay(2, 6, 2, 1)
+    for step in range(4):
+        replay.add(numbered([step + 1, step + 11]))
+    replay.add(numbered([15]), torch.tensor([1]))
+    batch = replay.sample(Streams((0, 1)), 300)
+    assert batch.obs.shape == (2, 300, 2)
+    assert batch.obs[0, :, 0].unique().tolist() == [1, 2, 3, 4]
+    assert batch.obs[1, :, 0].unique().tolist() == [11, 12, 13, 14, 15]
+    # A row is drawn whole.
+    again = numbered(batch.obs[0, :, 0].tolist())
+    assert all(torch.equal(a[0], b) for a, b in zip(batch, again, strict=True))
+
+
+def test_sampling_is_uniform():
+    replay = Replay(1, 8, 2, 1)
+    for step in range(4):
+        replay.add(numbered([step]))
+    counts = replay.sample(Streams((0,)), 40_000).obs[0, :, 0].long().bincount(minlength=4)
+    # Four standard deviations of a binomial count.
+    assert (counts - 10_000).abs().max() < 4 * (40_000 * 0.25 * 0.75) ** 0.5
+
+
+def test_an_empty_member_cannot_be_sampled():
+    replay = Replay(2, 3, 2, 1)
+    replay.add(numbered([1]), torch.tensor([1]))
+    with pytest.raises(ValueError, match=r"empty \(sizes \[0, 1\]\)"):
+        replay.sample(Streams((0, 1)), 1)
+
+
+@pytest.mark.parametrize("batch", [numbered([0, 1, 2]), numbered([0, 1], action_dim=2)])
+def test_transitions_of_another_shape_are_refused(batch):
+    with pytest.raises(ValueError, match=r"this buffer takes \(2, 7\)"):
+        Replay(2, 3, 2, 1).add(batch)

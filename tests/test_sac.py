@@ -1,0 +1,302 @@
+"""SAC, and what SAC and TD3 have in common (`both`)."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from offairl_lite.absorbing import absorbing_state, is_absorbing
+from offairl_lite.config import CORRECTED
+from offairl_lite.networks import Normaliser
+from offairl_lite.replay import Batch
+from offairl_lite.sac import (
+    SAC,
+    actor_loss,
+    bellman_target,
+    critic_loss,
+    soft_value,
+    temperature_loss,
+)
+from offairl_lite.streams import Streams
+from offairl_lite.td3 import TD3
+
+OBS, ACT, B = 3, 2, 6
+CONFIG = replace(CORRECTED, hidden=(8, 8), reward="dac", learning_rate=1e-2)
+both = pytest.mark.parametrize("learner", [SAC, TD3])
+
+
+def make(learner=SAC, seeds=(0, 1), **changes):
+    """A learner with targets of their own, and observations that are scaled."""
+    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
+    made = learner(replace(CONFIG, **changes), OBS, ACT, Streams(seeds), normaliser)
+    made.target_params = made.critic.init(Streams([50 + seed for seed in seeds]))
+    return made
+
+
+def data(seeds=(0, 1)):
+    """A batch, rewards, r(s_a) and noise: the arguments of `update`."""
+    streams = Streams([100 + seed for seed in seeds])
+    obs, u, next_obs = (streams.normal(B, n) for n in (OBS, ACT, OBS))
+    reward = streams.normal(B)
+    terminated = torch.zeros_like(reward)
+    terminated[:, ::3] = 1
+    noise = streams.normal(2, B, ACT).transpose(0, 1)
+    return Batch(obs, u, next_obs, torch.zeros_like(reward), terminated), reward, noise
+
+
+def update(learner, batch, reward, noise, absorbing_reward=0.0):
+    return learner.update(batch, reward, torch.full((len(reward), 1), absorbing_reward), noise)
+
+
+def weights(learner):
+    """All that is learned, one row a member."""
+    twins = [params.transpose(0, 1).flatten(1) for params in (learner.critic_params, learner.target_params)]  # fmt: skip  # noqa: E501
+    alpha = [learner.log_alpha] if isinstance(learner, SAC) else [learner.target_actor_params]
+    return torch.cat([learner.actor_params, *twins, *alpha], 1).detach().clone()
+
+
+def test_losses_by_hand():
+    q = torch.tensor([[[1.0, 4.0]], [[2.0, 3.0]]])
+    alpha, log_prob = torch.tensor([[0.5]]), torch.tensor([[-2.0, 4.0]])
+    value = soft_value(q, alpha, log_prob)
+    assert value.tolist() == [[1 + 1, 3 - 2]]
+    reward, terminated = torch.tensor([[10.0, 10.0]]), torch.tensor([[0.0, 1.0]])
+    # The entropy term stands inside γ, and a termination cuts all of it.
+    target = bellman_target(reward, terminated, value, 0.5)
+    assert target.tolist() == [[10 + 0.5 * 2, 10]]
+    assert critic_loss(q, target).item() == (10**2 + 6**2) / 2 + (9**2 + 7**2) / 2
+    assert actor_loss(value, torch.tensor([[1.0, 0.0]])).item() == -(2 + 0) / 2
+
+
+def test_losses_are_summed_over_members_and_averaged_over_the_batch():
+    ones = torch.ones(3, 5)
+    assert critic_loss(torch.zeros(2, 3, 5), ones).item() == 6
+    assert actor_loss(ones, ones).item() == -3
+    assert temperature_loss(torch.zeros(3, 1), ones, 1.0).item() == -6
+
+
+@pytest.mark.parametrize(("log_prob", "sign"), [(-5.0, 1), (5.0, -1)])
+def test_temperature_falls_while_there_is_more_entropy_than_wanted(log_prob, sign):
+    log_alpha = torch.tensor([[0.3]], requires_grad=True)
+    loss = temperature_loss(log_alpha, torch.full((1, 4), log_prob), 2.0)
+    gradient = torch.autograd.grad(loss, log_alpha)[0]
+    torch.testing.assert_close(gradient, -log_alpha.exp().detach() * (log_prob + 2.0))
+    assert gradient.sign() == sign
+
+
+def test_the_critic_s_target_is_that_of_the_equation():
+    learner, (batch, reward, noise) = make(temperature=0.3), data()
+    obs, next_obs = learner.normaliser(batch.obs), learner.normaliser(batch.next_obs)
+    u, log_prob = learner.actor.sample(learner.actor_params, next_obs, noise[0])
+    q_1, q_2 = learner.critic(learner.target_params, next_obs, torch.tanh(u))
+    next_value = torch.minimum(q_1, q_2) - 0.3 * log_prob
+    target = reward + 0.99 * (1 - batch.terminated) * next_value
+    q = learner.critic(learner.critic_params, obs, batch.action)
+    expected = (q - target).square().mean(-1).sum(0).detach()
+    torch.testing.assert_close(update(learner, batch, reward, noise)["critic_loss"], expected)
+
+
+def test_the_actor_climbs_the_soft_value():
+    learner, (batch, reward, noise) = make(actor_delay=1, learning_rate=1e-3), data()
+    obs = learner.normaliser(batch.obs)
+
+    def value():
+        u, log_prob = learner.actor.sample(learner.actor_params, obs, noise[1])
+        q = learner.critic(learner.critic_params, obs, torch.tanh(u)).amin(0)
+        return (q - 0.2 * log_prob).mean(1).detach()
+
+    # With a critic that stands still, each step goes up.
+    learner.critic_optimizer.param_groups[0]["lr"] = 0.0
+    before = value()
+    update(learner, batch, reward, noise)
+    assert (value() > before).all()
+
+
+@both
+def test_termination_cuts_the_bootstrap(learner):
+    learner, (batch, reward, noise) = make(learner), data()
+    batch = batch._replace(terminated=torch.ones(2, B))
+    q = learner.critic(learner.critic_params, learner.normaliser(batch.obs), batch.action)
+    expected = (q - reward).square().mean(-1).sum(0).detach()
+    torch.testing.assert_close(update(learner, batch, reward, noise)["critic_loss"], expected)
+
+
+@both
+def test_the_target_does_not_look_at_the_task_s_reward(learner):
+    batch, reward, noise = data()
+    one = update(make(learner), batch, reward, noise)
+    other = update(make(learner), batch._replace(reward=reward + 5), reward, noise)
+    assert torch.equal(one["critic_loss"], other["critic_loss"])
+
+
+@both
+@pytest.mark.parametrize("delay", [1, 2, 3])
+def test_actor_and_targets_move_every_so_many_updates(learner, delay):
+    learner = make(learner, actor_delay=delay)
+    for step in range(1, 7):
+        actor, target = learner.actor_params.detach().clone(), learner.target_params.clone()
+        update(learner, *data())
+        due = step % delay == 0
+        assert torch.equal(actor, learner.actor_params) != due
+        assert torch.equal(target, learner.target_params) != due
+        if due:
+            expected = target + CONFIG.target_rate * (learner.critic_params.detach() - target)
+            torch.testing.assert_close(learner.target_params, expected)
+    assert learner.updates == 6
+
+
+@both
+def test_the_actor_s_update_leaves_the_critics_alone(learner):
+    with_actor, without = make(learner, actor_delay=1), make(learner, actor_delay=9)
+    for one in (with_actor, without):
+        update(one, *data())
+    assert not torch.equal(with_actor.actor_params, without.actor_params)
+    assert torch.equal(with_actor.critic_params, without.critic_params)
+
+
+@pytest.mark.parametrize(("target_entropy", "rises"), [(50.0, True), (-50.0, False)])
+def test_a_learned_temperature_moves_towards_the_target_entropy(target_entropy, rises):
+    learner = make(temperature=None, target_entropy=target_entropy, actor_delay=1)
+    for _ in range(3):
+        update(learner, *data())
+    alpha = learner.log_alpha.exp()
+    assert (alpha > 0.2).all() if rises else (alpha < 0.2).all()
+
+
+def test_a_fixed_temperature_stays():
+    learner = make(temperature=0.7, target_entropy=50.0, actor_delay=1)
+    metrics = [update(learner, *data())["temperature"] for _ in range(3)]
+    torch.testing.assert_close(torch.stack(metrics), torch.full((3, 2), 0.7))
+
+
+def test_the_target_entropy_is_minus_the_number_of_actions():
+    assert make(temperature=None).target_entropy == -ACT
+
+
+@both
+def test_a_policy_taken_out_is_not_trained_on(learner):
+    learner = make(learner, actor_delay=1)
+    policy, obs = learner.policy, data()[0].obs
+    before = policy.act(obs)
+    update(learner, *data())
+    assert torch.equal(policy.act(obs), before)
+    assert not torch.equal(learner.policy.act(obs), before)
+
+
+# Absorbing states. The normaliser scales the indicator, too: (s, 1) is not (s', 1) afterwards.
+
+
+def ending(batch, obs_too=False):
+    """Half of the batch enters the absorbing state; with `obs_too` all of it is in there."""
+    there = absorbing_state(batch.obs)
+    every_second = (torch.arange(B) % 2 == 0).view(1, B, 1)
+    return batch._replace(
+        obs=there if obs_too else batch.obs,
+        next_obs=torch.where(every_second, there, batch.next_obs),
+        terminated=torch.zeros(2, B),
+    )
+
+
+def losses(learner, mode, constant, batch, reward, absorbing_reward):
+    """The squared error of one update, where the targets say Q = constant everywhere."""
+    learner = make(learner, absorbing=mode)
+    learner.target_params.zero_()
+    *_, (bias, _) = learner.critic.net.layers(learner.target_params.flatten(0, 1))
+    bias.fill_(constant)
+    return update(learner, batch, reward, data()[2], absorbing_reward)["critic_loss"]
+
+
+@both
+def test_bootstrap_at_its_fixed_point_is_the_analytic_return(learner):
+    batch, reward, _ = data()
+    batch = ending(batch)._replace(next_obs=absorbing_state(batch.obs))
+    fixed_point = -0.7 / (1 - 0.99)
+    bootstrap = losses(learner, "bootstrap", fixed_point, batch, reward, -0.7)
+    analytic = losses(learner, "analytic", 123.0, batch, reward, -0.7)
+    torch.testing.assert_close(bootstrap, analytic, rtol=1e-4, atol=0)
+
+
+@both
+@pytest.mark.parametrize("mode", ["bootstrap", "analytic"])
+def test_targets_with_absorbing_states_by_hand(learner, mode):
+    learner, (batch, reward, noise) = make(learner, absorbing=mode), data()
+    batch, there = ending(batch), -0.7
+    target = learner._target(batch, reward, torch.full((2, 1), there), noise[0])
+    plain = make(type(learner))._target(batch, reward, torch.zeros(2, 1), noise[0])
+    ended = is_absorbing(batch.next_obs)
+    assert ended.any()
+    assert torch.equal(target[~ended], plain[~ended])
+    still = torch.zeros(2, B, ACT)
+    next_obs = learner.normaliser(batch.next_obs)
+    # The next action is 0, and certain: no noise, no entropy.
+    q = learner.critic(learner.target_params, next_obs, still).amin(0)
+    next_value = q if mode == "bootstrap" else torch.tensor(there / (1 - 0.99))
+    torch.testing.assert_close(target[ended], (reward + 0.99 * next_value)[ended])
+
+
+@both
+def test_the_actor_learns_nothing_in_the_absorbing_state(learner):
+    batch, reward, noise = data()
+    for all_of_it in (True, False):
+        one = make(learner, absorbing="bootstrap", actor_delay=1)
+        before = one.actor_params.detach().clone()
+        update(one, ending(batch, obs_too=all_of_it), reward, noise)
+        assert torch.equal(one.actor_params, before) == all_of_it
+
+
+def test_log_prob_is_zero_in_the_absorbing_state_and_that_of_the_actor_elsewhere():
+    learner, (batch, *_) = make(absorbing="bootstrap"), data()
+    expected = make().log_prob(batch)
+    assert torch.equal(learner.log_prob(batch), expected)
+    torch.testing.assert_close(
+        expected,
+        learner.actor.log_prob(learner.actor_params, learner.normaliser(batch.obs), batch.pre_tanh),
+    )
+    assert (learner.log_prob(ending(batch, obs_too=True)) == 0).all()
+
+
+def test_log_prob_may_be_taken_under_other_weights_and_as_released():
+    learner, (batch, *_) = make(), data()
+    other = make(seeds=(5, 6)).actor_params
+    learner_of_other = make()
+    learner_of_other.actor_params = other
+    assert torch.equal(learner.log_prob(batch, other), learner_of_other.log_prob(batch))
+    released = make(log_density="released").log_prob(batch)
+    obs = learner.normaliser(batch.obs)
+    expected = learner.actor.log_prob(learner.actor_params, obs, batch.pre_tanh, "released")
+    assert torch.equal(released, expected)
+
+
+# The population axis.
+
+
+def train(learner, seeds, batch, reward, noise, updates=4, **changes):
+    made = make(learner, seeds, temperature=None, **changes)
+    for _ in range(updates):
+        update(made, batch, reward, noise)
+    return weights(made)
+
+
+@both
+@pytest.mark.parametrize("mode", ["none", "bootstrap", "analytic"])
+def test_training_together_is_training_alone(learner, mode):
+    seeds = (0, 1, 2, 3, 4)
+    batch, reward, noise = data(seeds)
+    together = train(learner, seeds, batch, reward, noise, absorbing=mode)
+    for i, seed in enumerate(seeds):
+        own = Batch(*(part[[i]] for part in batch))
+        alone = train(learner, (seed,), own, reward[[i]], noise[:, [i]], absorbing=mode)
+        torch.testing.assert_close(together[[i]], alone, rtol=1e-4, atol=1e-5)
+
+
+@both
+def test_a_member_s_data_changes_no_other_member(learner):
+    seeds = (0, 1, 2)
+    batch, reward, noise = data(seeds)
+    one = train(learner, seeds, batch, reward, noise)
+    batch.obs[1] += 1
+    reward[1] -= 1
+    noise[:, 1] *= 2
+    other = train(learner, seeds, batch, reward, noise)
+    assert torch.equal(one[[0, 2]], other[[0, 2]])
+    assert not torch.equal(one[1], other[1])

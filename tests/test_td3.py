@@ -1,0 +1,58 @@
+"""What TD3 does otherwise than SAC; the rest is in `test_sac.py`."""
+
+import pytest
+import torch
+from test_sac import data, make, update
+
+from offairl_lite.streams import Streams
+from offairl_lite.td3 import TD3, smoothed_action
+
+
+@pytest.mark.parametrize(
+    ("action", "noise", "expected"),
+    [
+        (0.0, 1.0, 0.2),  # ε has standard deviation 0.2,
+        (0.0, 10.0, 0.5),  # is clipped to ±0.5,
+        (0.1, -10.0, -0.4),
+        (0.9, 10.0, 1.0),  # and so is the action, to ±1.
+        (-0.9, -10.0, -1.0),
+    ],
+)
+def test_smoothing_clips_the_noise_and_then_the_action(action, noise, expected):
+    smoothed = smoothed_action(torch.tensor([[[action]]]), torch.tensor([[[noise]]]))
+    torch.testing.assert_close(smoothed.item(), expected)
+
+
+def test_the_critic_s_target_is_that_of_the_equation():
+    learner, (batch, reward, noise) = make(TD3), data()
+    learner.target_actor_params = learner.actor.init(Streams((8, 9)))
+    obs, next_obs = learner.normaliser(batch.obs), learner.normaliser(batch.next_obs)
+    mode = torch.tanh(learner.actor.net(learner.target_actor_params, next_obs))
+    action = (mode + (0.2 * noise[0]).clamp(-0.5, 0.5)).clamp(-1, 1)
+    q_1, q_2 = learner.critic(learner.target_params, next_obs, action)
+    target = reward + 0.99 * (1 - batch.terminated) * torch.minimum(q_1, q_2)
+    q = learner.critic(learner.critic_params, obs, batch.action)
+    expected = (q - target).square().mean(-1).sum(0).detach()
+    torch.testing.assert_close(update(learner, batch, reward, noise)["critic_loss"], expected)
+
+
+def test_the_actor_climbs_the_first_critic():
+    learner, (batch, reward, noise) = make(TD3, actor_delay=1, learning_rate=1e-3), data()
+    learner.critic_optimizer.param_groups[0]["lr"] = 0.0
+    obs = learner.normaliser(batch.obs)
+
+    def value():
+        action = learner.actor.mode(learner.actor_params, obs)
+        return learner.critic(learner.critic_params, obs, action)[0].mean(1).detach()
+
+    before = value()
+    update(learner, batch, reward, noise)
+    assert (value() > before).all()
+
+
+def test_the_actor_s_target_follows_the_actor():
+    learner = make(TD3, actor_delay=1)
+    before = learner.target_actor_params.clone()
+    update(learner, *data())
+    expected = before + 0.005 * (learner.actor_params.detach() - before)
+    torch.testing.assert_close(learner.target_actor_params, expected)

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from offairl_lite import video
+from offairl_lite.networks import Normaliser
+from offairl_lite.policies import Policy, SquashedGaussian
+from offairl_lite.streams import Streams
+
+MAZE = "offairl/PointMazeLeft-v0"
+
+
+def policy(seeds=(0,), obs_dim=3, action_dim=2):
+    actor = SquashedGaussian(obs_dim, action_dim, (8,))
+    normaliser = Normaliser.identity(len(seeds), obs_dim)
+    return Policy(MAZE, actor, actor.init(Streams(seeds)), normaliser)
+
+
+@pytest.mark.parametrize("obs_dim", [3, 4])
+def test_frames_show_an_episode_that_moves(obs_dim):
+    film = video.frames(policy(obs_dim=obs_dim), MAZE, max_steps=6)
+    assert (film.shape[0], film.shape[3], film.dtype) == (7, 3, np.uint8)
+    assert (film[0] != film[-1]).any()
+
+
+def test_frames_may_be_left_out():
+    whole = video.frames(policy(), MAZE, max_steps=6)
+    third = video.frames(policy(), MAZE, max_steps=6, every=3)
+    np.testing.assert_array_equal(third, whole[::3])
+
+
+def test_a_film_ends_with_its_episode():
+    film = video.frames(policy(obs_dim=11, action_dim=3), "Hopper-v5", max_steps=900, every=400)
+    assert len(film) == 1
+
+
+def test_one_film_one_member():
+    with pytest.raises(ValueError, match=r"2 members.*policy.member\(0\)"):
+        video.frames(policy((0, 1)), MAZE)
+
+
+def test_mp4_is_an_mp4():
+    film = np.zeros((4, 32, 48, 3), np.uint8)
+    film[:, :, :24] = 255
+    data = video.mp4(film)
+    assert data[4:8] == b"ftyp"
+    assert len(data) < 10_000
+
+
+def test_a_film_in_a_page_carries_its_own_bytes():
+    html = video.show(np.zeros((2, 32, 48, 3), np.uint8), "The maze.").data
+    assert "data:video/mp4;base64," in html
+    assert "<figcaption>The maze.</figcaption>" in html
+    assert "http" not in html.split("base64,")[0]
+
+
+def test_side_by_side_the_shorter_film_stands_still_at_its_end():
+    long = np.arange(5, dtype=np.uint8).reshape(5, 1, 1, 1) * np.ones((1, 2, 3, 3), np.uint8)
+    short = 100 + long[:2, :, :2]
+    both = video.side_by_side(long, short)
+    assert both.shape == (5, 2, 5, 3)
+    np.testing.assert_array_equal(both[:, :, :3], long)
+    assert both[:, 0, 3, 0].tolist() == [100, 101, 101, 101, 101]
