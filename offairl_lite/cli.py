@@ -15,7 +15,7 @@ from offairl_lite import demonstrations, records, scale, video
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.imitate import Trainer, train
+from offairl_lite.imitate import Trainer, complete
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
 
@@ -120,12 +120,12 @@ def _run_command(name: str, size: Scale):
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset)
-        # What does not fit is refused before anything is written.
-        Trainer(config, seeds, data, reward)
+        # Made first, so that what does not fit is refused before anything is written.
+        trainer = Trainer(config, seeds, data, reward, num_threads=threads)
         folder = out or Path("runs") / f"{experiment}-{scale}"
-        recorder = records.Recorder(folder, config, seeds)
-        done = train(config, seeds, data, reward, num_threads=threads, on_rows=recorder.add)
-        recorder.finish(done)
+        with records.Recorder(folder, config, seeds) as recorder:
+            done = complete(trainer, on_rows=recorder.add)
+            recorder.finish(done)
         print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
         for row in done.rows[-len(seeds) :]:
             print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")

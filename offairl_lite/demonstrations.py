@@ -1,5 +1,6 @@
 """Expert demonstrations: loaded from Minari, checked, or made on first use by shipped experts."""
 
+import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,6 +51,15 @@ def expert(env_id: str) -> Policy:
     Raises:
         FileNotFoundError: none is shipped for it; the message lists the tasks that have some.
     """
+    return Policy.load(expert_file(env_id))
+
+
+def expert_file(env_id: str) -> Path:
+    """Return where the shipped experts of a task are.
+
+    Raises:
+        FileNotFoundError: none is shipped for it; the message lists the tasks that have some.
+    """
     path = EXPERTS / f"{short_name(env_id)}.safetensors"
     if not path.is_file():
         have = ", ".join(sorted(file.stem for file in EXPERTS.glob("*.safetensors"))) or "none yet"
@@ -57,7 +67,7 @@ def expert(env_id: str) -> Policy:
             f"no expert is shipped for {env_id} (there are: {have}); pass the id of a Minari data "
             "set of your own, or train an expert with reward='environment'"
         )
-    return Policy.load(path)
+    return path
 
 
 def short_name(env_id: str) -> str:
@@ -68,8 +78,9 @@ def short_name(env_id: str) -> str:
 def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
-    Without `dataset_id` they are the shipped experts' own, made the first time and then kept: a
-    trajectory is always the same, whether 5 are asked for or 50.
+    Without `dataset_id` they are the shipped experts' own, made the first time and then kept, under
+    a name that changes when the experts do. A trajectory is always the same, whether 5 are asked
+    for or 50.
 
     Args:
         env_id: the task.
@@ -83,14 +94,16 @@ def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> 
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     if dataset_id is None:
-        dataset_id = f"offairl/{short_name(env_id)}/experts-{trajectories}-v0"
+        digest = hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest()[:8]
+        dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{trajectories}-v0"
         if dataset_id not in minari.list_local_datasets():
             generate(env_id, trajectories, dataset_id)
     elif dataset_id not in minari.list_local_datasets():
         known = ", ".join(minari.list_local_datasets()) or "no data set at all"
         raise FileNotFoundError(
             f"Minari has no local data set {dataset_id!r}; here are: {known}. "
-            "Download one with `minari download`, or write one with minari.DataCollector"
+            "Download one with `minari download`, or write one with "
+            "minari.create_dataset_from_buffers"
         )
     return from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
 

@@ -109,6 +109,11 @@ class Trainer:
         self.env_obs_dim = self.env.single_observation_space.shape[0]
         self.action_dim = self.env.single_action_space.shape[0]
         self.obs_dim = self.env_obs_dim + (config.absorbing != "none")
+        if reward is not None and reward.normaliser.mean.shape[-1] != self.obs_dim:
+            raise ValueError(
+                f"the frozen reward sees {reward.normaliser.mean.shape[-1]} numbers; with "
+                f"absorbing={config.absorbing!r}, {config.env_id} gives {self.obs_dim}"
+            )
         # A terminated episode may add a row of the absorbing state.
         capacity = min(config.replay_size, 2 * config.total_steps)
         self.replay = Replay(len(seeds), capacity, self.obs_dim, self.action_dim, self.device)
@@ -371,6 +376,31 @@ def _chunks(updates: int) -> list[int]:
     return [min(CHUNK, updates - done) for done in range(0, updates, CHUNK)]
 
 
+def complete(
+    trainer: Trainer, progress: bool = True, on_rows: Callable[[list[Row]], None] | None = None
+) -> Run:
+    """Take a trainer to its end.
+
+    Args:
+        trainer: a new one.
+        progress: whether to show a bar.
+        on_rows: called with the rows of each evaluation as it is made.
+
+    Raises:
+        FloatingPointError: a member diverged.
+    """
+    run = Run(trainer.config, trainer.seeds)
+    with tqdm(total=trainer.config.total_steps, unit="step", disable=not progress) as bar:
+        for rows in trainer.run():
+            run.rows += rows
+            if on_rows is not None:
+                on_rows(rows)
+            bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
+            bar.update(trainer.steps - bar.n)
+    run.policy, run.reward = trainer.generator.policy, trainer.reward
+    return run
+
+
 def train(
     config: Config,
     seeds: Sequence[int],
@@ -380,7 +410,6 @@ def train(
     device: str | torch.device = "cpu",
     num_threads: int = 1,
     progress: bool = True,
-    on_rows: Callable[[list[Row]], None] | None = None,
 ) -> Run:
     """Train a population from beginning to end.
 
@@ -392,20 +421,10 @@ def train(
         device: where networks and replay live.
         num_threads: for the physics.
         progress: whether to show a bar.
-        on_rows: called with the rows of each evaluation as it is made.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
         FloatingPointError: a member diverged.
     """
-    trainer = Trainer(config, seeds, demonstrations, reward, device=device, num_threads=num_threads)
-    run = Run(config, trainer.seeds)
-    with tqdm(total=config.total_steps, unit="step", disable=not progress) as bar:
-        for rows in trainer.run():
-            run.rows += rows
-            if on_rows is not None:
-                on_rows(rows)
-            bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
-            bar.update(trainer.steps - bar.n)
-    run.policy, run.reward = trainer.generator.policy, trainer.reward
-    return run
+    given = config, seeds, demonstrations, reward
+    return complete(Trainer(*given, device=device, num_threads=num_threads), progress)

@@ -17,6 +17,8 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import torch
 
@@ -41,6 +43,8 @@ PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 
 class Recorder:
     """Writes a run to a folder as it goes, so that a run cut short leaves its curve behind.
+
+    Used as a context manager, it also notes what stopped a run that did not finish.
 
     Args:
         folder: a new or empty folder.
@@ -68,6 +72,15 @@ class Recorder:
             "threads": torch.get_num_threads(),
         }
         self._state("running")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self._state(f"stopped: {kind.__name__}: {error}")
 
     def add(self, rows: Sequence[Row]) -> None:
         """Append the rows of one evaluation."""

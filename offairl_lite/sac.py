@@ -147,7 +147,9 @@ class SAC:
             value = soft_value(q, self.log_alpha.detach().exp(), log_prob)
             weight = torch.ones_like(value)
             if config.absorbing != "none":
+                # Nothing is decided in the absorbing state, and its entropy is as it should be.
                 weight = (~is_absorbing(batch.obs)).to(value)
+                log_prob = log_prob.masked_fill(weight == 0, -self.target_entropy)
             descend(actor_loss(value, weight), self.actor_optimizer)
             if config.temperature is None:
                 loss = temperature_loss(self.log_alpha, log_prob, self.target_entropy)

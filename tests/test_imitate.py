@@ -8,7 +8,7 @@ import torch
 
 from offairl_lite.config import RELEASE
 from offairl_lite.discriminators import Discriminator, Reward
-from offairl_lite.imitate import Trainer, train
+from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
 from offairl_lite.sac import SAC
 from offairl_lite.streams import Streams
@@ -240,7 +240,7 @@ def test_the_rows_before_a_divergence_are_handed_out(tiny, monkeypatch):
     monkeypatch.setattr(SAC, "update", update)
     config = replace(tiny, reward="environment")
     with pytest.raises(FloatingPointError, match="seed 7 diverged by step 200"):
-        train(config, (3, 7), progress=False, on_rows=rows.append)
+        complete(Trainer(config, (3, 7)), False, rows.append)
     assert [both[0].step for both in rows] == [100]
 
 
@@ -250,6 +250,12 @@ def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
     right = replace(tiny, env_id="offairl/PointMazeRight-v0")
     with pytest.raises(ValueError, match=r"demonstrations of .*Left-v0 for a run on .*Right-v0"):
         Trainer(right, (0,), maze)
+
+
+def test_a_frozen_reward_of_other_observations_is_refused(tiny):
+    frozen = replace(tiny, reward="frozen")
+    with pytest.raises(ValueError, match=r"sees 5 numbers; with absorbing='none', .* gives 3"):
+        Trainer(frozen, (0,), None, frozen_reward(1, obs_dim=5))
 
 
 def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze):

@@ -7,7 +7,7 @@ import torch
 
 from offairl_lite import records
 from offairl_lite.discriminators import Reward
-from offairl_lite.imitate import Row, Run, train
+from offairl_lite.imitate import Row, Run, Trainer, complete
 from offairl_lite.networks import Normaliser, save_weights
 from offairl_lite.policies import Deterministic, Policy
 from offairl_lite.records import COLUMNS, METRICS, Recorder, read
@@ -39,7 +39,7 @@ def unfinished(folder, tiny):
 def test_a_run_comes_back_as_it_was(folder, tiny, random_demonstrations):
     recorder = Recorder(folder, tiny, SEEDS)
     demonstrations = random_demonstrations(tiny.env_id)
-    run = train(tiny, SEEDS, demonstrations, progress=False, on_rows=recorder.add)
+    run = complete(Trainer(tiny, SEEDS, demonstrations), False, recorder.add)
     recorder.finish(run)
     again = read(folder)
     assert (again.config, again.seeds, again.rows) == (tiny, SEEDS, run.rows)
@@ -53,7 +53,7 @@ def test_a_run_comes_back_as_it_was(folder, tiny, random_demonstrations):
 def test_without_a_learned_reward_none_is_kept(folder, tiny):
     config = replace(tiny, reward="environment", hidden=(4,))
     recorder = Recorder(folder, config, SEEDS)
-    recorder.finish(train(config, SEEDS, progress=False, on_rows=recorder.add))
+    recorder.finish(complete(Trainer(config, SEEDS), False, recorder.add))
     again = read(folder)
     assert again.config == config
     assert again.reward is None
@@ -79,6 +79,19 @@ def test_the_manifest_says_what_made_the_run(unfinished):
     unfinished.finish(Run(read(unfinished.folder).config, SEEDS, [], actor))
     assert manifest()["state"] == "finished"
     assert not list(unfinished.folder.glob("*.part"))
+
+
+def test_what_stopped_a_run_is_noted(folder, tiny):
+    def run():
+        with Recorder(folder, tiny, SEEDS) as recorder:
+            recorder.add(rows(100))
+            raise FloatingPointError("seed 7 diverged")
+
+    with pytest.raises(FloatingPointError):
+        run()
+    state = json.loads((folder / "run.json").read_text())["state"]
+    assert state == "stopped: FloatingPointError: seed 7 diverged"
+    assert len(read(folder).rows) == 2
 
 
 def policy_parts():

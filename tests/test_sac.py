@@ -300,3 +300,18 @@ def test_a_member_s_data_changes_no_other_member(learner):
     other = train(learner, seeds, batch, reward, noise)
     assert torch.equal(one[[0, 2]], other[[0, 2]])
     assert not torch.equal(one[1], other[1])
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_temperature_does_not_look_at_the_absorbing_state(there):
+    config = replace(CORRECTED, temperature=None, absorbing="bootstrap", hidden=(8,))
+    streams = Streams((0,))
+    sac = SAC(config, 3, 2, streams, Normaliser.identity(1, 3))
+    obs = streams.normal(6, 3)
+    obs = absorbing_state(obs) if there else obs
+    zero = torch.zeros(1, 6)
+    batch = Batch(obs, streams.normal(6, 2), obs, zero, zero)
+    before = sac.log_alpha.item()
+    for _ in range(config.actor_delay):
+        sac.update(batch, zero, zero[:, :1], streams.normal(2, 6, 2).transpose(0, 1))
+    assert (sac.log_alpha.item() == before) == there
