@@ -85,8 +85,8 @@ def maze(ax: Axes, side: str) -> None:
     ax.figure.canvas.draw()
     points_per_metre = ax.transData.transform((1, 0))[0] - ax.transData.transform((0, 0))[0]
     lines.set_linewidth(2 * WALL_RADIUS * points_per_metre * 72 / ax.figure.dpi)
-    ax.plot(*START[:2], "o", color="white", markeredgecolor="black", zorder=3)
-    ax.plot(*GOAL[:2], "*", color=GREEN, markeredgecolor="black", markersize=13, zorder=3)
+    ax.plot(*START, "o", color="white", markeredgecolor="black", zorder=3)
+    ax.plot(*GOAL, "*", color=GREEN, markeredgecolor="black", markersize=13, zorder=3)
 
 
 def reward_map(

@@ -5,7 +5,11 @@ import torch
 
 from offairl_lite import demonstrations
 from offairl_lite.demonstrations import load, short_name
+from offairl_lite.envs.models import GOAL
 from offairl_lite.evaluate import rollout
+from offairl_lite.networks import Normaliser
+from offairl_lite.policies import Policy
+from offairl_lite.streams import Streams
 
 MAZE = "offairl/PointMazeLeft-v0"
 
@@ -169,3 +173,29 @@ def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_exp
     means = [shipped_experts.member(m).act(obs.flatten(0, 1)[None]).view(5, 100, 2) for m in (0, 1)]
     distance = [np.square(actions.mean(1) - m.numpy().mean(1)).sum(-1) for m in means]
     assert (np.argmin(distance, 0) == np.arange(5) % 2).all()
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_the_shipped_experts_of_the_maze_are_experts(side):
+    policy = demonstrations.expert(f"offairl/PointMaze{side}-v0")
+    episodes = rollout(policy, policy.env_id, range(5), 10)
+    rest = np.linalg.norm(episodes.next_obs[..., -20:, :2] - GOAL, axis=-1).mean((1, 2))
+    assert len(policy) == 5
+    assert (episodes.returns.mean(1) > -7).all()
+    assert (rest < 0.02).all()  # at the goal; the wall behind it would stop them at 0.05
+    assert (np.diff(episodes.returns.mean(1)) < 0.3).all()  # best first
+
+
+def test_the_best_members_are_kept_best_first():
+    policy = demonstrations.expert(MAZE).member(4, 0, 2)
+    random = Policy(
+        MAZE, policy.actor, policy.actor.init(Streams((0,))), policy.member(0).normaliser
+    )
+    params = torch.cat([random.params, policy.params])
+    normaliser = Normaliser(
+        *(torch.cat(p) for p in zip(random.normaliser, policy.normaliser, strict=True))
+    )
+    kept = demonstrations.best(Policy(MAZE, policy.actor, params, normaliser), range(4), count=3)
+    returns = rollout(kept, MAZE, range(3), 5).returns.mean(1)
+    assert returns.min() > -7
+    assert (np.diff(returns) < 0.05).all()

@@ -6,8 +6,9 @@ from pathlib import Path
 from docutils import nodes
 from sphinx_external_toc.collectors import TocTreeCollectorWithStyles
 
-# Thebe would run cells on a server, and its script names a content network. Preloaded fonts are
-# refused by browsers when a page is opened as a file (and are then loaded as usual).
+# Thebe would run cells on a server; its script names a content network.
+# Preloaded fonts are refused by browsers when a page is opened as a file,
+# and are then loaded as usual.
 UNWANTED = re.compile(
     r"""<script[^>]*>[^<]*\bTHEBE_JS_URL\b.*?</script>"""
     r"""|<script[^>]*sphinx-thebe\.js.*?</script>"""
@@ -19,7 +20,7 @@ UNWANTED = re.compile(
 
 
 def make_offline(app, exception):
-    """Leave out what needs a network or a server, so that pages open without complaint as files."""
+    """Leave out what needs a server: pages are opened as files."""
     for page in Path(app.outdir).rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         kept = UNWANTED.sub("", text)
@@ -30,13 +31,19 @@ def make_offline(app, exception):
 def assign_section_numbers(
     collector, env, assign=TocTreeCollectorWithStyles.assign_section_numbers
 ):
-    """Make 05_….ipynb chapter 5 also while an earlier chapter is still missing from the book."""
+    """Make 05_….ipynb chapter 5 also while earlier chapters are missing."""
     rewritten = assign(collector, env)
     for page, numbers in env.toc_secnumbers.items():
         chapter = Path(page).name.split("_")[0]
         if chapter.isdecimal():
-            for heading in [env.titles[page], *env.tocs[page].findall(nodes.reference)]:
-                heading["secnumber"] = [int(chapter), *heading["secnumber"][1:]]
+            for heading in [
+                env.titles[page],
+                *env.tocs[page].findall(nodes.reference),
+            ]:
+                heading["secnumber"] = [
+                    int(chapter),
+                    *heading["secnumber"][1:],
+                ]
             for anchor, number in numbers.items():
                 numbers[anchor] = (int(chapter), *number[1:])
     return rewritten
@@ -44,6 +51,8 @@ def assign_section_numbers(
 
 def setup(app):
     """Register with Sphinx."""
-    TocTreeCollectorWithStyles.assign_section_numbers = assign_section_numbers
+    TocTreeCollectorWithStyles.assign_section_numbers = (
+        assign_section_numbers
+    )
     app.connect("build-finished", make_offline)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
