@@ -114,13 +114,15 @@ def make(
             autoreset_mode=AutoresetMode.DISABLED,
             render_mode=render_mode,
         )
+    # An environment that cannot be rendered need not know the word.
+    rendering = {} if render_mode is None else {"render_mode": render_mode}
     try:
         env = gymnasium.make_vec(
             env_id,
             num_envs=population,
             vectorization_mode="sync",
             vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
-            render_mode=render_mode,
+            **rendering,
         )
     except gymnasium.error.UnregisteredEnv as error:
         raise ValueError(
