@@ -130,7 +130,12 @@ class Trainer:
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
 
     def run(self) -> Iterator[list[Row]]:
-        """Train to the end; at each evaluation, yield a row for each member."""
+        """Train to the end.
+
+        Yields:
+            At each evaluation, a row for each member; after each training block, an empty list, so
+            that whoever listens can show how far it is.
+        """
         config = self.config
         self.obs, _ = self.env.reset()
         while self.steps < config.total_steps:
@@ -143,8 +148,14 @@ class Trainer:
             if self.generator is not None:
                 while self.owed:
                     self._train(self.owed.pop(0))
+                    yield []
                 if self.steps % config.eval_every == 0 or self.steps == config.total_steps:
                     yield self.evaluate()
+
+    @property
+    def trained(self) -> int:
+        """Steps that have been trained on."""
+        return self.block_start - sum(self.owed)
 
     def _block_ends(self, done: np.ndarray) -> bool:
         if self.config.update_every is not None:
@@ -392,11 +403,13 @@ def complete(
     run = Run(trainer.config, trainer.seeds)
     with tqdm(total=trainer.config.total_steps, unit="step", disable=not progress) as bar:
         for rows in trainer.run():
-            run.rows += rows
-            if on_rows is not None:
-                on_rows(rows)
-            bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
-            bar.update(trainer.steps - bar.n)
+            bar.update(trainer.trained - bar.n)
+            if rows:
+                run.rows += rows
+                bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
+                if on_rows is not None:
+                    on_rows(rows)
+        bar.update(trainer.steps - bar.n)
     run.policy, run.reward = trainer.generator.policy, trainer.reward
     return run
 

@@ -69,7 +69,7 @@ def test_another_block_length_is_another_run(tiny, maze):
 def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_up(tiny, maze):
     config = replace(tiny, total_steps=400, warmup_steps=250, eval_every=50)
     trainer = Trainer(config, (0, 1), maze)
-    done = [(rows[0].step, trainer.generator.updates) for rows in trainer.run()]
+    done = [(rows[0].step, trainer.generator.updates) for rows in trainer.run() if rows]
     assert done == [(250, 200), (300, 300), (350, 300), (400, 400)]
     assert trainer.episodes.tolist() == [4, 4]
 
