@@ -71,8 +71,6 @@ $(ENV): pyproject.toml constraints.txt
 	  || { echo '$(PYTHON) has no venv module: install it (Debian, Ubuntu: apt install python3-venv)' >&2; exit 1; }
 	@echo 'Installing into .venv; the first time takes some minutes.'
 	@$(PYTHON) -m venv .venv
-	@# The pip that Debian 12 brings (23.0) sees conflicts among these packages where there are none.
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --upgrade pip
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
