@@ -106,14 +106,13 @@ def rollout(
             obs, _ = env.reset(options={"reset_mask": done})
     env.close()
 
-    def stacked(part: int) -> np.ndarray:
-        array = np.stack([step[part] for step in steps], 1)
-        alive = np.stack([step[4] for step in steps], 1)
-        array = array * alive.reshape(*alive.shape, *(1,) * (array.ndim - 2))
-        return array.reshape(population, episodes, *array.shape[1:])
-
-    alive = np.stack([step[4] for step in steps], 1).reshape(population, episodes, -1)
-    return Episodes(*map(stacked, range(4)), ended.reshape(population, episodes), alive)
+    columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
+    obs, action, next_obs, reward, alive = (
+        column.reshape(population, episodes, *column.shape[1:]) for column in columns
+    )
+    mask = alive[..., None]
+    ended = ended.reshape(population, episodes)
+    return Episodes(obs * mask, action * mask, next_obs * mask, reward * alive, ended, alive)
 
 
 def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:

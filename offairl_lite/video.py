@@ -47,7 +47,7 @@ def frames(
 
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
-    """Encode frames as H.264, about half a kilobyte a frame."""
+    """Encode frames as H.264, well under a kilobyte a frame."""
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     return mediapy.compress_video(pictures, fps=fps, crf=28)
 
