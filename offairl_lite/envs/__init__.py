@@ -14,13 +14,14 @@ from collections.abc import Sequence
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RescaleAction
 
 from offairl_lite.envs.batched import BatchedEnv
+from offairl_lite.envs.serial import SerialEnv
 from offairl_lite.envs.tasks import TASKS
 
-__all__ = ["TASKS", "BatchedEnv", "SingleEnv", "make"]
+__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "make"]
 
 
 class SingleEnv(gymnasium.Env):
@@ -64,18 +65,6 @@ class SingleEnv(gymnasium.Env):
         return self._members.render()[0]
 
 
-class _SeedFirstReset(VectorWrapper):
-    """Gives the first `reset` its seeds, as `BatchedEnv` gets them when it is made."""
-
-    def __init__(self, env: VectorEnv, seeds: list[int]):
-        super().__init__(env)
-        self._seeds = seeds
-
-    def reset(self, *, seed=None, options=None):
-        seeds, self._seeds = self._seeds, None
-        return self.env.reset(seed=seeds if seed is None else seed, options=options)
-
-
 def make(
     env_id: str,
     population: int,
@@ -83,12 +72,14 @@ def make(
     *,
     num_threads: int = 1,
     render_mode: str | None = None,
-) -> VectorEnv:
+) -> BatchedEnv | SerialEnv:
     """A vector environment with one member per seed, to be reset by whoever steps it.
 
     Members start when the first `reset()` is called. A finished member must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions run from -1 to 1 in
-    every dimension: for an environment with other bounds they are rescaled.
+    every dimension: for an environment with other bounds they are rescaled. `get_state()` gives
+    arrays from which `set_state(state)` continues exactly, here or in another environment made with
+    the same id and population.
 
     Args:
         env_id: a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
@@ -146,7 +137,7 @@ def make(
     ones = np.ones_like(actions.high)
     if not (np.array_equal(actions.low, -ones) and np.array_equal(actions.high, ones)):
         env = RescaleAction(env, -ones, ones)
-    return _SeedFirstReset(env, seeds)
+    return SerialEnv(env, seeds)
 
 
 for _id, _task in TASKS.items():

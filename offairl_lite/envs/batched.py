@@ -96,8 +96,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._clock = np.zeros(num_envs, np.int64)
         self._idle = np.ones(num_envs, bool)
         self.np_random = tuple(seeding.np_random()[0] for _ in range(num_envs))
-        if seeds is not None:
-            self._seed(seeds, np.ones(num_envs, bool))
+        self._seed(member_seeds(seeds, num_envs), np.ones(num_envs, bool))
 
         low, high = model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
@@ -127,19 +126,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             ValueError: the mask is not a boolean array of that shape, or marks nobody; or the
                 seeds are not one per member.
         """
-        mask = np.ones(self.num_envs, bool)
-        if options is not None and "reset_mask" in options:
-            mask = options["reset_mask"]
-            valid = isinstance(mask, np.ndarray) and mask.dtype == bool
-            if not valid or mask.shape != (self.num_envs,) or not mask.any():
-                raise ValueError(
-                    f"reset_mask must be a boolean array of shape ({self.num_envs},) with a member "
-                    f"to reset, not {mask!r}"
-                )
-        if seed is not None:
-            if isinstance(seed, int | np.integer):
-                seed = [seed + i for i in range(self.num_envs)]
-            self._seed(seed, mask)
+        mask = reset_mask(options, self.num_envs)
+        self._seed(member_seeds(seed, self.num_envs), mask)
         self._start(np.flatnonzero(mask))
         return self._observations.copy(), {}
 
@@ -162,11 +150,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         """
         actions = self._checked(actions)
         idle = self._idle
-        if idle.any() and self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
-            raise RuntimeError(
-                f"members {np.flatnonzero(idle).tolist()} have no episode in progress: reset them "
-                "with reset(options={'reset_mask': mask}) before the next step"
-            )
+        if self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
+            require_episodes(idle)
         before, running = self._physics, np.flatnonzero(~idle)
         self._ctrl[running] = actions[running]
         self._batch.step(running, nstep=self.task.frame_skip)
@@ -190,7 +175,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             "contact": self._physics.contact.copy(),
             "clock": self._clock.copy(),
             "idle": self._idle.copy(),
-            "generators": np.stack([_generator_words(rng) for rng in self.np_random]),
+            "generators": generator_words(self.np_random, self),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -202,10 +187,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         Raises:
             ValueError: names, shapes or types are not those of `get_state`.
         """
-        expected = {name: (array.shape, array.dtype) for name, array in self.get_state().items()}
-        given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in state.items()}
-        if given != expected:
-            raise ValueError(f"not a state of this environment: expected {expected}, got {given}")
+        require_layout(state, self.get_state())
         self._batch.state[:] = state["physics"]
         self._physics = Physics(
             qpos=self._qpos.copy(),
@@ -216,8 +198,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._observations = self.task.observe(self._physics)
         self._clock = state["clock"].copy()
         self._idle = state["idle"].copy()
-        for rng, words in zip(self.np_random, state["generators"], strict=True):
-            _set_generator_words(rng, words)
+        set_generator_words(self.np_random, state["generators"])
 
     def render(self) -> tuple[np.ndarray, ...]:
         """Frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8.
@@ -251,10 +232,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         return actions
 
     def _seed(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"expected a seed for each of {self.num_envs} members, got {seeds}")
         self.np_random = tuple(
-            seeding.np_random(index(seed))[0] if marked and seed is not None else rng
+            seeding.np_random(seed)[0] if marked and seed is not None else rng
             for rng, seed, marked in zip(self.np_random, seeds, mask, strict=True)
         )
 
@@ -298,20 +277,71 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._observations = self.task.observe(physics)
 
 
-def _generator_words(rng: np.random.Generator) -> np.ndarray:
-    """State of a PCG64 generator: two numbers of 128 bits, high word first, and a spare draw."""
-    state = rng.bit_generator.state
-    words = []
-    for number in (state["state"]["state"], state["state"]["inc"]):
-        words += [number >> 64, number & (2**64 - 1)]
-    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
+    """A seed or None for each member: s + i from s, a sequence as it is, None from None."""
+    if seed is None:
+        return [None] * num_envs
+    seeds = [seed + i for i in range(num_envs)] if isinstance(seed, int | np.integer) else seed
+    if len(seeds) != num_envs:
+        raise ValueError(f"expected a seed for each of {num_envs} members, got {seeds}")
+    return [None if seed is None else index(seed) for seed in seeds]
 
 
-def _set_generator_words(rng: np.random.Generator, words: np.ndarray) -> None:
-    state_high, state_low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
-    rng.bit_generator.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": state_high << 64 | state_low, "inc": inc_high << 64 | inc_low},
-        "has_uint32": has_uint32,
-        "uinteger": uinteger,
-    }
+def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:
+    """The members that `reset` is asked to reset: all, unless the options have a `reset_mask`."""
+    if options is None or "reset_mask" not in options:
+        return np.ones(num_envs, bool)
+    mask = options["reset_mask"]
+    valid = isinstance(mask, np.ndarray) and mask.dtype == bool
+    if not valid or mask.shape != (num_envs,) or not mask.any():
+        raise ValueError(
+            f"reset_mask must be a boolean array of shape ({num_envs},) with a member to reset, "
+            f"not {mask!r}"
+        )
+    return mask
+
+
+def require_episodes(idle: np.ndarray) -> None:
+    """RuntimeError if any member is idle."""
+    if idle.any():
+        raise RuntimeError(
+            f"members {np.flatnonzero(idle).tolist()} have no episode in progress: reset them "
+            "with reset(options={'reset_mask': mask}) before the next step"
+        )
+
+
+def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) -> None:
+    """ValueError unless two states have the same names, shapes and types."""
+    expected = {name: (array.shape, array.dtype) for name, array in like.items()}
+    given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in state.items()}
+    if given != expected:
+        raise ValueError(f"not a state of this environment: expected {expected}, got {given}")
+
+
+def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndarray:
+    """States of PCG64 generators: two numbers of 128 bits, high word first, and a spare draw."""
+    rows = []
+    for rng in generators:
+        if not isinstance(getattr(rng, "bit_generator", None), np.random.PCG64):
+            raise ValueError(
+                f"{owner}: expected members whose np_random is a numpy.random.Generator with "
+                f"PCG64, as Gymnasium makes it, got {rng!r}"
+            )
+        state = rng.bit_generator.state
+        words = []
+        for number in (state["state"]["state"], state["state"]["inc"]):
+            words += [number >> 64, number & (2**64 - 1)]
+        rows.append([*words, state["has_uint32"], state["uinteger"]])
+    return np.array(rows, np.uint64)
+
+
+def set_generator_words(generators: Sequence[np.random.Generator], rows: np.ndarray) -> None:
+    """Put generators into states that `generator_words` gave."""
+    for rng, words in zip(generators, rows, strict=True):
+        state_high, state_low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
+        rng.bit_generator.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": state_high << 64 | state_low, "inc": inc_high << 64 | inc_low},
+            "has_uint32": has_uint32,
+            "uinteger": uinteger,
+        }

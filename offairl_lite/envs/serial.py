@@ -1,0 +1,142 @@
+"""Members of any Gymnasium task, stepped one by one."""
+
+from collections.abc import Sequence
+from copy import deepcopy
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.wrappers.vector import RescaleAction
+
+from offairl_lite.envs.batched import (
+    generator_words,
+    member_seeds,
+    require_episodes,
+    require_layout,
+    reset_mask,
+    set_generator_words,
+)
+
+
+class SerialEnv(VectorWrapper):
+    """Gymnasium's `SyncVectorEnv` with what `BatchedEnv` offers: seeds, and a state to save.
+
+    What is inside a member is unknown. Its state is therefore how its episode began, which is the
+    state of its random generator before the reset, and the actions since; it is restored by playing
+    the episode again. Actions are converted to the type of the action space.
+
+    Args:
+        env: a new `SyncVectorEnv` in mode `DISABLED`, or a `RescaleAction` around one.
+        seeds: a seed per member, for its first reset.
+    """
+
+    def __init__(self, env: VectorEnv, seeds: Sequence[int]):
+        super().__init__(env)
+        self._members = env.unwrapped.envs
+        self._rescaled = env.actions if isinstance(env, RescaleAction) else np.copy
+        self._seeds = member_seeds(seeds, env.num_envs)
+        self._starts = [seeding.np_random(seed)[0] for seed in self._seeds]
+        self._observations = np.zeros_like(env.observation_space.low)
+        self._actions = []  # As many as the longest episode has steps.
+        self._clock = np.zeros(env.num_envs, np.int64)
+        self._idle = np.ones(env.num_envs, bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
+    ) -> tuple[np.ndarray, dict]:
+        """Start new episodes; arguments and errors are those of `BatchedEnv.reset`."""
+        mask = reset_mask(options, self.num_envs)
+        seeds = member_seeds(seed, self.num_envs)
+        seeds = [b if a is None else a for a, b in zip(seeds, self._seeds, strict=True)]
+        starts = {
+            i: deepcopy(self._members[i].unwrapped.np_random)
+            if seeds[i] is None
+            else seeding.np_random(seeds[i])[0]
+            for i in np.flatnonzero(mask)
+        }
+        # Gymnasium takes the mask out of the options it is given.
+        observations, info = self.env.reset(seed=seeds, options=options and dict(options))
+        observations[~mask] = self._observations[~mask]
+        self._observations = observations.copy()
+        self._clock[mask], self._idle[mask] = 0, False
+        del self._actions[: len(self._actions) - self._clock.max()]
+        for i, start in starts.items():
+            self._seeds[i], self._starts[i] = None, start
+        return observations, info
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Advance every member by one step; RuntimeError if one has no episode in progress."""
+        require_episodes(self._idle)
+        actions = np.array(actions, self.action_space.dtype)
+        observations, rewards, terminated, truncated, info = self.env.step(actions.copy())
+        self._actions.append(actions)
+        self._clock += 1
+        self._observations, self._idle = observations.copy(), terminated | truncated
+        return observations, rewards, terminated, truncated, info
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that the future depends on, as arrays that `set_state` takes back.
+
+        A member's own among the `actions` are the last, as many as its `clock` says.
+
+        Raises:
+            ValueError: a member's `np_random` is not a PCG64 generator.
+        """
+        new = self._idle & (self._clock == 0)
+        generators = [
+            start if never_reset else member.unwrapped.np_random
+            for member, start, never_reset in zip(self._members, self._starts, new, strict=True)
+        ]
+        actions = np.array(self._actions, self.action_space.dtype)
+        return {
+            "starts": generator_words(self._starts, self.unwrapped),
+            "actions": actions.reshape(-1, *self.action_space.shape),
+            "clock": self._clock.copy(),
+            "idle": self._idle.copy(),
+            "observations": self._observations.copy(),
+            "generators": generator_words(generators, self.unwrapped),
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a state of this task and number of members, exactly.
+
+        Args:
+            state: what `get_state` returned, here or in another environment of this task.
+
+        Raises:
+            ValueError: names, shapes or types are not those of `get_state`; or the episodes, played
+                again, come out differently, after which the environment must be reset.
+        """
+        like = self.get_state()
+        steps = np.shape(state.get("actions"))[:1]
+        like["actions"] = np.empty((*steps, *self.action_space.shape), self.action_space.dtype)
+        require_layout(state, like)
+
+        generators = [member.unwrapped.np_random for member in self._members]
+        set_generator_words(generators, state["starts"])
+        self._seeds, self._starts = [None] * self.num_envs, deepcopy(generators)
+        # Everyone, for `SyncVectorEnv` cannot reset a few before it has reset all.
+        first, _ = self.env.reset()
+        new = state["idle"] & (state["clock"] == 0)
+        for i in np.flatnonzero(new):
+            set_generator_words([self._members[i].unwrapped.np_random], state["starts"][[i]])
+        self._observations = np.where(new[:, None], state["observations"], first)
+        self._actions = list(state["actions"].copy())
+        self._clock, self._idle = state["clock"].copy(), new
+        for left, actions in zip(range(len(self._actions), 0, -1), self._actions, strict=True):
+            played = self._rescaled(actions)
+            # Episodes have different lengths, so past the `SyncVectorEnv`, which steps all.
+            for i in np.flatnonzero(self._clock >= left):
+                observation, _, terminated, truncated, _ = self._members[i].step(played[i])
+                self._observations[i], self._idle[i] = observation, terminated or truncated
+
+        again = self.get_state()
+        wrong = [k for k in state if not np.array_equal(again[k], state[k], equal_nan=True)]
+        if wrong:
+            raise ValueError(
+                f"{self.unwrapped}: {', '.join(wrong)} came out differently when the episodes were "
+                "played again; expected a task whose episodes depend on nothing but np_random, as "
+                "it was before the reset, and the actions"
+            )
