@@ -18,11 +18,12 @@ from torch.nn.functional import softplus
 
 from offairl_lite.config import Config
 from offairl_lite.networks import (
+    Adam,
     Normaliser,
     StackedMLP,
-    adam,
     descend,
     load_weights,
+    optimizer_states,
     save_weights,
 )
 from offairl_lite.replay import Batch
@@ -146,8 +147,15 @@ class Discriminator:
         self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), activation)
         self.reward_params = self.reward_net.init(streams)
         self.value_params = self.value_net.init(streams)
-        self.reward_optimizer = adam(self.reward_params, config.discriminator_learning_rate)
-        self.value_optimizer = adam(self.value_params, config.discriminator_learning_rate)
+        self.reward_optimizer = Adam(self.reward_params, config.discriminator_learning_rate)
+        self.value_optimizer = Adam(self.value_params, config.discriminator_learning_rate)
+        self.step = self._step
+        """One update. A faster form of it may take its place."""
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Everything that updates change: the tensors themselves."""
+        return optimizer_states({"reward": self.reward_optimizer, "value": self.value_optimizer})
 
     def f(
         self,
@@ -248,6 +256,16 @@ class Discriminator:
         coefficient: Float[Tensor, "S B 4"],
     ) -> dict[str, Float[Tensor, "S"]]:
         """Take one step down `loss`; return its diagnostics."""
+        return self.step(expert, policy, expert_log_prob, policy_log_prob, coefficient)
+
+    def _step(
+        self,
+        expert: Batch,
+        policy: Batch,
+        expert_log_prob: Float[Tensor, "S B"] | None,
+        policy_log_prob: Float[Tensor, "S B"] | None,
+        coefficient: Float[Tensor, "S B 4"],
+    ) -> dict[str, Float[Tensor, "S"]]:
         loss, metrics = self.loss(expert, policy, expert_log_prob, policy_log_prob, coefficient)
         if self.is_airl:
             descend(loss, self.reward_optimizer, self.value_optimizer)

@@ -5,13 +5,15 @@ often, on the reward as it now stands. With the task's own reward, or a frozen o
 discriminator's part falls away and the rest is the same.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm.auto import tqdm
 
@@ -20,9 +22,10 @@ from offairl_lite.config import Config
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
 from offairl_lite.evaluate import Episodes, rollout
+from offairl_lite.execution import Execution
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy, unsquash
-from offairl_lite.replay import Batch, Replay, unpack
+from offairl_lite.replay import Batch, Replay
 from offairl_lite.rewards import IMPLEMENTATIONS
 from offairl_lite.sac import SAC
 from offairl_lite.streams import Streams
@@ -46,35 +49,45 @@ class Row(NamedTuple):
 
 @dataclass
 class Run:
-    """What came of a run: its curve, and the policies and rewards at its end."""
+    """What came of a run: its curve, and the policies and rewards at its end.
+
+    `diverged` tells of members that had to be given up, by seed: they have no rows from there on,
+    and their weights are zeros.
+    """
 
     config: Config
     seeds: tuple[int, ...]
     rows: list[Row] = field(default_factory=list)
     policy: Policy | None = None
     reward: Reward | None = None
+    diverged: dict[int, str] = field(default_factory=dict)
 
     @property
     def steps(self) -> np.ndarray:
         """Environment steps of the evaluations, `(K,)`."""
-        return np.array([row.step for row in self.rows[:: len(self.seeds)]])
+        return np.unique([row.step for row in self.rows])
 
     @property
     def returns(self) -> np.ndarray:
-        """Mean return of each member at each evaluation, `(S, K)`."""
-        return np.array([row.mean_return for row in self.rows]).reshape(-1, len(self.seeds)).T
+        """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
+        table = np.full((len(self.seeds), len(self.steps)), np.nan)
+        for row in self.rows:
+            column = np.searchsorted(self.steps, row.step)
+            table[self.seeds.index(row.seed), column] = row.mean_return
+        return table
 
 
 class Trainer:
-    """The state of one run.
+    """The state of one run, which `advance` takes forward piece by piece.
 
     Args:
         config: what to do.
         seeds: one for each member of the population.
         demonstrations: needed where a reward is learned.
         reward: needed where `config.reward` is `frozen`: as many members as seeds.
-        device: where networks and replay live.
-        num_threads: for the physics.
+        execution: where and how it is computed.
+        replay_file: where transitions are kept, if not in memory alone.
+        memory: steps by which the replay file can be taken back, see `replay.Replay`.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -87,13 +100,16 @@ class Trainer:
         demonstrations: Demonstrations | None = None,
         reward: Reward | None = None,
         *,
-        device: str | torch.device = "cpu",
-        num_threads: int = 1,
+        execution: Execution = Execution(),  # noqa: B008
+        replay_file: Path | None = None,
+        memory: int = 0,
     ) -> None:
-        self.config, self.seeds, self.num_threads = config, tuple(seeds), num_threads
-        self.device, self.frozen_reward = torch.device(device), reward
+        self.config, self.seeds, self.execution = config, tuple(seeds), execution
+        self.device, self.frozen_reward = torch.device(execution.device), reward
         if not seeds:
             raise ValueError("no seeds: give one for each member of the population")
+        if len(set(seeds)) < len(seeds):
+            raise ValueError(f"seeds are {self.seeds}: two members with one seed are the same")
         if config.learns_reward and demonstrations is None:
             raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
         if (config.reward == "frozen") != (reward is not None):
@@ -105,7 +121,7 @@ class Trainer:
                 f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}"
             )
         self.streams = Streams(self.seeds, self.device)
-        self.env = envs.make(config.env_id, len(seeds), self.seeds, num_threads=num_threads)
+        self.env = envs.make(config.env_id, len(seeds), self.seeds, num_threads=execution.threads)
         self.env_obs_dim = self.env.single_observation_space.shape[0]
         self.action_dim = self.env.single_action_space.shape[0]
         self.obs_dim = self.env_obs_dim + (config.absorbing != "none")
@@ -114,48 +130,73 @@ class Trainer:
                 f"the frozen reward sees {reward.normaliser.mean.shape[-1]} numbers; with "
                 f"absorbing={config.absorbing!r}, {config.env_id} gives {self.obs_dim}"
             )
-        # A terminated episode may add a row of the absorbing state.
-        capacity = min(config.replay_size, 2 * config.total_steps)
-        self.replay = Replay(len(seeds), capacity, self.obs_dim, self.action_dim, self.device)
+        self.replay = Replay(
+            len(seeds),
+            config.replay_size,
+            self.obs_dim,
+            self.action_dim,
+            self.device,
+            file=replay_file,
+            slots=replay_slots(config, memory),
+        )
         self.demonstrations = None
         if demonstrations is not None:
             self.demonstrations = self._rewritten(demonstrations.transitions)
         self.generator: SAC | TD3 | None = None
         self.discriminator: Discriminator | None = None
-        self.steps, self.episodes = 0, np.zeros(len(seeds), int)
+        self.steps, self.episodes = 0, torch.zeros(len(seeds), dtype=torch.long)
         # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
         self.owed: list[int] = []
-        self.block_start = 0
+        self.block_start, self.evaluated = 0, 0
         self.held = torch.zeros(len(seeds), self.action_dim, device=self.device)
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
-
-    def run(self) -> Iterator[list[Row]]:
-        """Train to the end.
-
-        Yields:
-            At each evaluation, a row for each member; after each training block, an empty list, so
-            that whoever listens can show how far it is.
-        """
-        config = self.config
+        self.diverged: dict[int, str] = {}
         self.obs, _ = self.env.reset()
-        while self.steps < config.total_steps:
-            done = self._step()
-            if self._block_ends(done):
-                self.owed.append(self.steps - self.block_start)
-                self.block_start = self.steps
-            if self.steps == config.warmup_steps:
-                self._build()
-            if self.generator is not None:
-                while self.owed:
-                    self._train(self.owed.pop(0))
-                    yield []
-                if self.steps % config.eval_every == 0 or self.steps == config.total_steps:
-                    yield self.evaluate()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all is done."""
+        return self.steps >= self.config.total_steps and not self._due
 
     @property
     def trained(self) -> int:
         """Steps that have been trained on."""
         return self.block_start - sum(self.owed)
+
+    @property
+    def _due(self) -> Literal["training", "evaluation"] | None:
+        """What must be done before the next step."""
+        if self.generator is None or self.steps == 0:
+            return None
+        if self.owed:
+            return "training"
+        at_end = self.steps == self.config.total_steps
+        due = self.steps % self.config.eval_every == 0 or at_end
+        return "evaluation" if due and self.evaluated < self.steps else None
+
+    def advance(self) -> list[Row]:
+        """Do the next piece of work: a block of training, an evaluation, or a step.
+
+        Returns:
+            After an evaluation, a row for each member; otherwise nothing.
+
+        Raises:
+            FloatingPointError: every member has diverged.
+        """
+        match self._due:
+            case "training":
+                self.train(self.owed.pop(0))
+            case "evaluation":
+                self.evaluated = self.steps
+                return self.evaluate()
+            case None:
+                done = self._step()
+                if self._block_ends(done):
+                    self.owed.append(self.steps - self.block_start)
+                    self.block_start = self.steps
+                if self.steps == self.config.warmup_steps:
+                    self._build(self._normaliser())
+        return []
 
     def _block_ends(self, done: np.ndarray) -> bool:
         if self.config.update_every is not None:
@@ -181,6 +222,8 @@ class Trainer:
             scaled = self.generator.normaliser(obs.unsqueeze(1))
             actor, params = self.generator.actor, self.generator.actor_params
             pre_tanh = actor.sample(params, scaled, noise)[0].squeeze(1)
+            self._give_up("actions", ~pre_tanh.isfinite().all(-1))
+            pre_tanh = pre_tanh.nan_to_num(0)
         action = torch.tanh(pre_tanh).cpu().numpy()
         next_obs, reward, terminated, truncated, _ = self.env.step(action)
         self._store(
@@ -195,7 +238,7 @@ class Trainer:
         done = terminated | truncated
         self.obs = self.env.reset(options={"reset_mask": done})[0] if done.any() else next_obs
         self.steps += 1
-        self.episodes += done
+        self.episodes += torch.from_numpy(done)
         return done
 
     def _seen(self, obs: np.ndarray) -> Float[Tensor, "S O"]:
@@ -221,37 +264,37 @@ class Trainer:
             batch = Batch(*(torch.cat(parts) for parts in zip(batch, loops, strict=True)))
         return Batch(*(part.to(self.device) for part in batch))
 
-    def _build(self) -> None:
-        """Make the learners, once the statistics that scale their inputs are known."""
-        config, population = self.config, len(self.seeds)
-        if config.normalise:
-            members = [self._statistics(i) for i in range(population)]
-            normaliser = Normaliser(*map(torch.cat, zip(*members, strict=True)))
-        else:
-            normaliser = Normaliser.identity(population, self.obs_dim, self.device)
+    def _build(self, normaliser: Normaliser) -> None:
+        """Make the learners, once it is known how to scale their inputs."""
+        config = self.config
+        dims = self.obs_dim, self.action_dim
         learner = SAC if config.generator == "sac" else TD3
-        self.generator = learner(config, self.obs_dim, self.action_dim, self.streams, normaliser)
+        self.generator = learner(config, *dims, self.streams, normaliser)
+        self.generator.step = self.execution.accelerate(self.generator.step)
         if config.learns_reward:
-            self.discriminator = Discriminator(
-                config, self.obs_dim, self.action_dim, self.streams, normaliser
-            )
+            self.discriminator = Discriminator(config, *dims, self.streams, normaliser)
+            self.discriminator.step = self.execution.accelerate(self.discriminator.step)
 
-    def _statistics(self, member: int) -> Normaliser:
-        """Return the scaling by what one member has seen and, half and half, what it was shown.
+    def _normaliser(self) -> Normaliser:
+        """Return the scaling by what each member has seen and, half and half, what it was shown.
 
         That even mixture is what the discriminator will look at. The absorbing state, which is no
         place on the map, is left out.
         """
-        rows = self.replay.rows[member, : self.replay.sizes[member]]
-        sources = [unpack(rows, self.obs_dim).obs]
-        if self.demonstrations is not None:
-            sources.append(self.demonstrations.obs)
-        if self.config.absorbing != "none":
-            sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
-        return Normaliser.of(*(obs.unsqueeze(0) for obs in sources))
+        if not self.config.normalise:
+            return Normaliser.identity(len(self.seeds), self.obs_dim, self.device)
+        members = []
+        for member in range(len(self.seeds)):
+            sources = [self.replay.held(member).obs]
+            if self.demonstrations is not None:
+                sources.append(self.demonstrations.obs)
+            if self.config.absorbing != "none":
+                sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
+            members.append(Normaliser.of(*(obs.unsqueeze(0) for obs in sources)))
+        return Normaliser(*map(torch.cat, zip(*members, strict=True)))
 
-    def _train(self, updates: int) -> None:
-        """Train the discriminator `updates` times, then the generator as often."""
+    def train(self, updates: int) -> None:
+        """Train the discriminator `updates` times, then the generator as often, from replay."""
         if self.discriminator is not None:
             for minibatches in _chunks(updates):
                 self._train_discriminator(minibatches)
@@ -259,7 +302,8 @@ class Trainer:
         actor_params = self.generator.actor_params.detach().clone()
         for minibatches in _chunks(updates):
             self._train_generator(minibatches, actor_params)
-        self._check_finite()
+        for name, weights in self._learned().items():
+            self._give_up(name, ~weights.isfinite().all(-1))
 
     def _train_discriminator(self, minibatches: int) -> None:
         count = minibatches * self.config.batch_size
@@ -328,7 +372,7 @@ class Trainer:
             self.config.env_id,
             self.seeds,
             self.config.eval_episodes,
-            num_threads=self.num_threads,
+            num_threads=self.execution.threads,
         )
         learned = self._learned_returns(episodes)
         return [
@@ -342,6 +386,7 @@ class Trainer:
                 {name: float(value[i]) for name, value in self.metrics.items()},
             )
             for i, (seed, returns) in enumerate(zip(self.seeds, episodes.returns, strict=True))
+            if seed not in self.diverged
         ]
 
     def _learned_returns(self, episodes: Episodes) -> np.ndarray:
@@ -362,25 +407,100 @@ class Trainer:
         """The learned reward as it is now, or the frozen one; None with the task's own."""
         return self.frozen_reward if self.discriminator is None else self.discriminator.frozen
 
-    def _check_finite(self) -> None:
-        """Stop a run that has diverged.
+    def _learned(self) -> dict[str, Float[Tensor, "S P"]]:
+        """Return all weights that are trained, a row for each member."""
+        critics = self.generator.critic_params.detach()
+        tensors = {"actor": self.generator.actor_params.detach(), "critic": critics.sum(0)}
+        if self.discriminator is not None:
+            tensors["reward"] = self.discriminator.reward_params.detach()
+            tensors["shaping"] = self.discriminator.value_params.detach()
+        return tensors
+
+    def _give_up(self, name: str, diverged: Bool[Tensor, "S"]) -> None:
+        """Go on without some members: with weights of zero they do no harm, and learn nothing.
 
         Raises:
-            FloatingPointError: naming seed, step and tensor.
+            FloatingPointError: nobody is left.
         """
-        tensors = {"actor": self.generator.actor_params}
-        tensors["critics"] = self.generator.critic_params.transpose(0, 1).flatten(1)
-        if self.discriminator is not None:
-            tensors["reward"] = self.discriminator.reward_params
-            tensors["shaping"] = self.discriminator.value_params
-        for name, tensor in tensors.items():
-            finite = tensor.detach().isfinite().all(1)
-            if not finite.all():
-                seed = self.seeds[int((~finite).nonzero()[0])]
-                raise FloatingPointError(
-                    f"seed {seed} diverged by step {self.steps}: {name} weights are not finite; "
-                    "lower learning_rate or reward_scale"
+        for member in diverged.nonzero().flatten().tolist():
+            for tensor in self._weights().values():
+                if tensor.ndim > 1:
+                    tensor[..., member, :] = 0
+            seed = self.seeds[member]
+            if seed not in self.diverged:
+                self.diverged[seed] = (
+                    f"seed {seed} diverged by step {self.steps}: its {name} is not finite; lower "
+                    "learning_rate or reward_scale"
                 )
+                warnings.warn(self.diverged[seed], stacklevel=4)
+        if len(self.diverged) == len(self.seeds):
+            raise FloatingPointError("; ".join(self.diverged.values()))
+
+    def _weights(self) -> dict[str, Tensor]:
+        """Return the tensors that training changes: themselves, not copies."""
+        learners = {"generator": self.generator, "discriminator": self.discriminator}
+        return {
+            f"{kind}.{name}": tensor
+            for kind, learner in learners.items()
+            if learner is not None
+            for name, tensor in learner.state.items()
+        }
+
+    def state(self) -> dict[str, Tensor]:
+        """Return everything that the future depends on, but the rows of the replay."""
+        tensors = {
+            "counts": torch.tensor([self.steps, self.block_start, self.evaluated]),
+            "owed": torch.tensor(self.owed, dtype=torch.long),
+            "episodes": self.episodes,
+            "held": self.held,
+            "obs": torch.as_tensor(self.obs),
+            "streams": self.streams.state,
+            "added": self.replay.added,
+            **{f"env.{name}": torch.as_tensor(x) for name, x in self.env.get_state().items()},
+            **{f"metrics.{name}": value for name, value in self.metrics.items()},
+        }
+        if self.generator is not None:
+            tensors |= {"mean": self.generator.normaliser.mean, **self._weights()}
+            tensors["std"] = self.generator.normaliser.std
+        return tensors
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Go on from a state of a trainer with this configuration and these seeds, exactly.
+
+        The replay's file must be the one that trainer had.
+
+        Raises:
+            ValueError: the state is of something else.
+        """
+        try:
+            self.steps, self.block_start, self.evaluated = state["counts"].tolist()
+            self.owed, self.obs = state["owed"].tolist(), state["obs"].numpy()
+            if "mean" in state:
+                self._build(Normaliser(*(state[x].to(self.device) for x in ("mean", "std"))))
+                self.generator.updates = self.trained
+                for name, tensor in self._weights().items():
+                    tensor.copy_(state[name])
+            for name in ("episodes", "held"):
+                getattr(self, name).copy_(state[name])
+            self.replay.added.copy_(state["added"])
+            self.streams.state = state["streams"]
+            self.env.set_state(_under("env.", state, Tensor.numpy))
+            self.metrics = _under("metrics.", state, lambda x: x.to(self.device))
+        except (KeyError, RuntimeError) as error:
+            raise ValueError(f"not a state of this run: {error}") from error
+
+
+def replay_slots(config: Config, memory: int) -> int:
+    """Return the places that a member's replay needs: `memory` steps more than it looks back on."""
+    # A terminated episode may add a row of the absorbing state.
+    rows = 1 if config.absorbing == "none" else 2
+    return min(config.replay_size + rows * memory, rows * config.total_steps)
+
+
+def _under(prefix: str, state: dict[str, Tensor], convert: Callable) -> dict:
+    """Return the part of a state whose names begin with `prefix`."""
+    n = len(prefix)
+    return {name[n:]: convert(x) for name, x in state.items() if name.startswith(prefix)}
 
 
 def _chunks(updates: int) -> list[int]:
@@ -388,27 +508,32 @@ def _chunks(updates: int) -> list[int]:
 
 
 def complete(
-    trainer: Trainer, progress: bool = True, on_rows: Callable[[list[Row]], None] | None = None
+    trainer: Trainer,
+    progress: bool = True,
+    on_advance: Callable[[list[Row]], None] | None = None,
 ) -> Run:
     """Take a trainer to its end.
 
     Args:
-        trainer: a new one.
+        trainer: a new one, or one that was restored.
         progress: whether to show a bar.
-        on_rows: called with the rows of each evaluation as it is made.
+        on_advance: called after each piece of work, with the rows of an evaluation if it was one.
 
     Raises:
-        FloatingPointError: a member diverged.
+        FloatingPointError: every member has diverged.
     """
-    run = Run(trainer.config, trainer.seeds)
-    with tqdm(total=trainer.config.total_steps, unit="step", disable=not progress) as bar:
-        for rows in trainer.run():
+    run = Run(trainer.config, trainer.seeds, diverged=trainer.diverged)
+    with tqdm(
+        total=trainer.config.total_steps, initial=trainer.trained, unit="step", disable=not progress
+    ) as bar:
+        while not trainer.finished:
+            rows = trainer.advance()
             bar.update(trainer.trained - bar.n)
             if rows:
                 run.rows += rows
                 bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
-                if on_rows is not None:
-                    on_rows(rows)
+            if on_advance is not None:
+                on_advance(rows)
         bar.update(trainer.steps - bar.n)
     run.policy, run.reward = trainer.generator.policy, trainer.reward
     return run
@@ -420,24 +545,22 @@ def train(
     demonstrations: Demonstrations | None = None,
     reward: Reward | None = None,
     *,
-    device: str | torch.device = "cpu",
-    num_threads: int = 1,
+    execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
 ) -> Run:
-    """Train a population from beginning to end.
+    """Train a population from beginning to end, in memory.
 
     Args:
         config: what to do.
         seeds: one for each member; the same seeds on the same machine give the same run.
         demonstrations: of the expert, where a reward is to be learned.
         reward: a frozen reward, where `config.reward` is `frozen`.
-        device: where networks and replay live.
-        num_threads: for the physics.
+        execution: where and how it is computed.
         progress: whether to show a bar.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
-        FloatingPointError: a member diverged.
+        FloatingPointError: every member has diverged.
     """
-    given = config, seeds, demonstrations, reward
-    return complete(Trainer(*given, device=device, num_threads=num_threads), progress)
+    trainer = Trainer(config, seeds, demonstrations, reward, execution=execution)
+    return complete(trainer, progress)

@@ -157,19 +157,64 @@ class TwinCritic:
         return q.view(2, *x.shape[:2])
 
 
-def adam(params: Tensor, learning_rate: float) -> torch.optim.Adam:
-    """Return Adam over one tensor of weights, which starts to require gradients."""
-    return torch.optim.Adam([params.requires_grad_()], lr=learning_rate, fused=True)
+BETAS, EPSILON = (0.9, 0.999), 1e-8
+"""Adam's own, never changed."""
 
 
-def descend(loss: Float[Tensor, ""], *optimizers: torch.optim.Adam) -> None:
+class Adam:
+    """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
+
+    Everything it knows is in tensors that are changed in place, so that a step is a fixed sequence
+    of operations: it can be compiled, or captured as a CUDA graph, together with the loss.
+
+    Args:
+        params: the weights.
+        learning_rate: of every step.
+    """
+
+    def __init__(self, params: Tensor, learning_rate: float) -> None:
+        self.params, self.learning_rate = params.requires_grad_(), learning_rate
+        self.mean, self.square = torch.zeros_like(params), torch.zeros_like(params)
+        self.betas = torch.tensor(BETAS, device=params.device)
+        self.decay = torch.ones_like(self.betas)
+        # The step's length and ε, corrected for the bias. They have a place of their own so that a
+        # compiled step computes them once, not once for every weight.
+        self.scale = torch.zeros_like(self.betas)
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """The weights and what is remembered of their gradients: the tensors themselves."""
+        return {
+            "params": self.params.detach(),
+            "mean": self.mean,
+            "square": self.square,
+            "decay": self.decay,
+        }
+
+    @torch.no_grad()
+    def step(self, gradient: Tensor) -> None:
+        """Take one step down."""
+        self.mean.lerp_(gradient, 1 - BETAS[0])
+        self.square.lerp_(gradient.square(), 1 - BETAS[1])
+        self.decay *= self.betas
+        bias1, bias2 = (1 - self.decay).unbind()
+        unbiased = torch.stack([self.learning_rate / bias1, torch.full_like(bias2, EPSILON)])
+        self.scale.copy_(unbiased * bias2.sqrt())
+        length, epsilon = self.scale.unbind()
+        self.params -= length * self.mean / (self.square.sqrt() + epsilon)
+
+
+def optimizer_states(optimizers: dict[str, Adam]) -> dict[str, Tensor]:
+    """Return the states of several optimizers, each name after its optimizer's."""
+    states = {kind: optimizer.state for kind, optimizer in optimizers.items()}
+    return {f"{kind}.{name}": x for kind, state in states.items() for name, x in state.items()}
+
+
+def descend(loss: Float[Tensor, ""], *optimizers: Adam) -> None:
     """Step down the gradient of `loss` by the optimizers' tensors, and by nothing else."""
-    params = [optimizer.param_groups[0]["params"][0] for optimizer in optimizers]
-    gradients = torch.autograd.grad(loss, params)
-    for optimizer, tensor, gradient in zip(optimizers, params, gradients, strict=True):
-        # Fused Adam on the CPU reads the gradient's storage in order, whatever its strides say.
-        tensor.grad = gradient.contiguous()
-        optimizer.step()
+    gradients = torch.autograd.grad(loss, [optimizer.params for optimizer in optimizers])
+    for optimizer, gradient in zip(optimizers, gradients, strict=True):
+        optimizer.step(gradient)
 
 
 def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:

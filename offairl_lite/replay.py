@@ -1,7 +1,11 @@
 """Transitions, and the replay buffer of a population."""
 
+import math
+import os
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -46,25 +50,21 @@ def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
     return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
 
 
-def gather(rows: Float[Tensor, "S N D"], index: Int[Tensor, "S M"]) -> Float[Tensor, "S M D"]:
-    """Return each member's rows at its own indices, by one index operation."""
-    population, capacity, width = rows.shape
-    offset = torch.arange(population, device=rows.device).unsqueeze(1) * capacity
-    flat = (index + offset).flatten()
-    return rows.view(-1, width).index_select(0, flat).view(*index.shape, width)
-
-
 class Replay:
     """The last `capacity` transitions of each member.
 
-    Members fill at their own pace: an episode that terminates may add rows (see `absorbing`).
+    Members fill at their own pace: an episode that terminates may add rows (see `absorbing`). Rows
+    stay in main memory, or in a file that is mapped into it; samples go to the learners' device.
 
     Args:
         population: S.
         capacity: rows a member.
         obs_dim: O.
         action_dim: A.
-        device: where the rows live.
+        device: where samples are wanted.
+        file: where the rows live, if not in memory alone: as they are if it exists, else new.
+        slots: places for a member's rows, `capacity` or more: until a row's place is needed again,
+            a replay that is put back by some steps still finds it.
     """
 
     def __init__(
@@ -74,9 +74,15 @@ class Replay:
         obs_dim: int,
         action_dim: int,
         device: str | torch.device = "cpu",
+        *,
+        file: Path | None = None,
+        slots: int | None = None,
     ) -> None:
-        self.obs_dim, self.capacity = obs_dim, capacity
-        self.rows = torch.zeros(population, capacity, 2 * obs_dim + action_dim + 2, device=device)
+        self.obs_dim, self.capacity, self.device = obs_dim, capacity, torch.device(device)
+        shape = (slots or capacity, population, 2 * obs_dim + action_dim + 2)
+        self._map = None if file is None else _mapped(file, shape)
+        rows = torch.zeros(shape) if self._map is None else torch.from_numpy(self._map)
+        self.rows: Float[Tensor, "N S D"] = rows
         self.added = torch.zeros(population, dtype=torch.long)
 
     @property
@@ -91,14 +97,21 @@ class Replay:
             ValueError: the shapes are not those of the buffer.
         """
         rows = pack(batch)
-        members = torch.arange(len(self.rows)) if members is None else members
-        if rows.shape != (len(members), self.rows.shape[-1]):
+        slots, population, width = self.rows.shape
+        members = torch.arange(population) if members is None else members
+        if rows.shape != (len(members), width):
             raise ValueError(
                 f"transitions pack to {tuple(rows.shape)}; this buffer takes "
-                f"{(len(members), self.rows.shape[-1])} (members, 2 obs + action + 2)"
+                f"{(len(members), width)} (members, 2 obs + action + 2)"
             )
-        self.rows[members, self.added[members] % self.capacity] = rows.to(self.rows)
+        self.rows[self.added[members] % slots, members] = rows.to(self.rows)
         self.added[members] += 1
+
+    def held(self, member: int) -> Batch:
+        """Return all that is held for one member, oldest first, axes `N`."""
+        slots, added = len(self.rows), int(self.added[member])
+        index = torch.arange(added - self.sizes[member], added) % slots
+        return unpack(self.rows[index, member].to(self.device), self.obs_dim)
 
     def sample(self, streams: Streams, count: int) -> Batch:
         """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
@@ -106,6 +119,31 @@ class Replay:
         Raises:
             ValueError: a member has no transition yet.
         """
-        if min(self.sizes) == 0:
-            raise ValueError(f"a member's replay is empty (sizes {self.sizes}): add to it first")
-        return unpack(gather(self.rows, streams.integers(self.sizes, count)), self.obs_dim)
+        sizes, (slots, population, width) = self.sizes, self.rows.shape
+        if min(sizes) == 0:
+            raise ValueError(f"a member's replay is empty (sizes {sizes}): add to it first")
+        oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
+        slot = (oldest + streams.integers(sizes, count).cpu()) % slots
+        # One gather for all members.
+        index = slot * population + torch.arange(population).unsqueeze(1)
+        rows = self.rows.view(-1, width).index_select(0, index.flatten())
+        return unpack(rows.view(population, count, width).to(self.device), self.obs_dim)
+
+    def flush(self) -> None:
+        """Have what was added reach the disk."""
+        if self._map is not None:
+            self._map.flush()
+
+
+def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
+    """Map a file of rows, which is made, or lengthened with zeros, to hold `shape`."""
+    size = 4 * math.prod(shape)
+    with open(file, "ab") as stream:
+        missing = size - stream.tell()
+        if missing > 0 and hasattr(os, "posix_fallocate"):
+            # The room is taken now: a mapped page that finds no room later kills the process.
+            os.posix_fallocate(stream.fileno(), size - missing, missing)
+        elif missing > 0:
+            for start in range(0, missing, 2**24):
+                stream.write(bytes(min(2**24, missing - start)))
+    return np.memmap(file, np.float32, "r+", shape=shape)

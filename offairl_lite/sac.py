@@ -14,7 +14,7 @@ from torch import Tensor
 
 from offairl_lite.absorbing import analytic_return, is_absorbing
 from offairl_lite.config import Config
-from offairl_lite.networks import Normaliser, TwinCritic, adam, descend
+from offairl_lite.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.policies import Policy, SquashedGaussian
 from offairl_lite.replay import Batch
 from offairl_lite.streams import Streams
@@ -86,10 +86,22 @@ class SAC:
         self.target_entropy = (
             -float(action_dim) if config.target_entropy is None else config.target_entropy
         )
-        self.actor_optimizer = adam(self.actor_params, config.learning_rate)
-        self.critic_optimizer = adam(self.critic_params, config.learning_rate)
-        self.alpha_optimizer = adam(self.log_alpha, config.learning_rate)
+        self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
+        self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
+        self.alpha_optimizer = Adam(self.log_alpha, config.learning_rate)
         self.updates = 0
+        self.step = self._step
+        """One update, the delayed part too or not. A faster form of it may take its place."""
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Everything that updates change, but their number: the tensors themselves."""
+        optimizers = {
+            "actor": self.actor_optimizer,
+            "critic": self.critic_optimizer,
+            "alpha": self.alpha_optimizer,
+        }
+        return {"target": self.target_params, **optimizer_states(optimizers)}
 
     @property
     def policy(self) -> Policy:
@@ -130,6 +142,18 @@ class SAC:
         Returns:
             Losses and diagnostics of each member.
         """
+        self.updates += 1
+        delayed = self.updates % self.config.actor_delay == 0
+        return self.step(batch, reward, absorbing_reward, noise, delayed)
+
+    def _step(
+        self,
+        batch: Batch,
+        reward: Float[Tensor, "S B"],
+        absorbing_reward: Float[Tensor, "S 1"],
+        noise: Float[Tensor, "2 S B A"],
+        delayed: bool,
+    ) -> dict[str, Float[Tensor, "S"]]:
         config = self.config
         obs = self.normaliser(batch.obs)
         target = self._target(batch, reward, absorbing_reward, noise[0])
@@ -140,8 +164,7 @@ class SAC:
             "q": q.detach().mean((0, 2)),
             "temperature": self.log_alpha.detach().exp().squeeze(-1),
         }
-        self.updates += 1
-        if self.updates % config.actor_delay == 0:
+        if delayed:
             pre_tanh, log_prob = self.actor.sample(self.actor_params, obs, noise[1])
             q = self.critic(self.critic_params.detach(), obs, torch.tanh(pre_tanh))
             value = soft_value(q, self.log_alpha.detach().exp(), log_prob)

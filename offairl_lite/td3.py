@@ -10,7 +10,7 @@ from torch import Tensor
 
 from offairl_lite.absorbing import analytic_return, is_absorbing
 from offairl_lite.config import Config
-from offairl_lite.networks import Normaliser, TwinCritic, adam, descend
+from offairl_lite.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.policies import Deterministic, Policy
 from offairl_lite.replay import Batch
 from offairl_lite.sac import actor_loss, bellman_target, critic_loss
@@ -54,9 +54,18 @@ class TD3:
         self.critic_params = self.critic.init(streams)
         self.target_actor_params = self.actor_params.clone()
         self.target_params = self.critic_params.clone()
-        self.actor_optimizer = adam(self.actor_params, config.learning_rate)
-        self.critic_optimizer = adam(self.critic_params, config.learning_rate)
+        self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
+        self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         self.updates = 0
+        self.step = self._step
+        """One update, the delayed part too or not. A faster form of it may take its place."""
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Everything that updates change, but their number: the tensors themselves."""
+        optimizers = {"actor": self.actor_optimizer, "critic": self.critic_optimizer}
+        targets = {"target": self.target_params, "target_actor": self.target_actor_params}
+        return {**targets, **optimizer_states(optimizers)}
 
     @property
     def policy(self) -> Policy:
@@ -82,6 +91,18 @@ class TD3:
         Returns:
             Losses and diagnostics of each member.
         """
+        self.updates += 1
+        delayed = self.updates % self.config.actor_delay == 0
+        return self.step(batch, reward, absorbing_reward, noise, delayed)
+
+    def _step(
+        self,
+        batch: Batch,
+        reward: Float[Tensor, "S B"],
+        absorbing_reward: Float[Tensor, "S 1"],
+        noise: Float[Tensor, "2 S B A"],
+        delayed: bool,
+    ) -> dict[str, Float[Tensor, "S"]]:
         config = self.config
         obs = self.normaliser(batch.obs)
         target = self._target(batch, reward, absorbing_reward, noise[0])
@@ -91,8 +112,7 @@ class TD3:
             "critic_loss": (q.detach() - target).square().mean(-1).sum(0),
             "q": q.detach().mean((0, 2)),
         }
-        self.updates += 1
-        if self.updates % config.actor_delay == 0:
+        if delayed:
             action = self.actor.mode(self.actor_params, obs)
             value = self.critic(self.critic_params.detach(), obs, action)[0]
             weight = torch.ones_like(value)

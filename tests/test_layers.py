@@ -9,7 +9,7 @@ import offairl_lite
 
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
-scale config streams envs networks policies replay absorbing evaluate demonstrations rewards
+scale config streams execution envs networks policies replay absorbing evaluate demonstrations rewards
 discriminators sac td3 imitate records experiments plots video cli
 """.split()  # noqa: SIM905
 FILES = sorted(ROOT.rglob("*.py"))

@@ -8,7 +8,7 @@ from offairl_lite.networks import (
     Normaliser,
     StackedMLP,
     TwinCritic,
-    adam,
+    Adam,
     descend,
     load_weights,
     save_weights,
@@ -131,7 +131,7 @@ def test_descend_is_adam_also_for_a_gradient_in_another_order():
     weights = Streams((0, 1, 2)).normal(40)
     slopes = Streams(range(40)).normal(3)
     params, reference = weights.clone(), weights.clone().requires_grad_()
-    optimizer = adam(params, 0.1)
+    optimizer = Adam(params, 0.1)
     plain = torch.optim.Adam([reference], lr=0.1, foreach=True)
 
     def loss(x):
@@ -148,7 +148,7 @@ def test_descend_is_adam_also_for_a_gradient_in_another_order():
 
 def test_descend_moves_only_what_it_is_told_to():
     moved, kept = torch.ones(2, 3), torch.ones(2, 3)
-    optimizer, _ = adam(moved, 0.1), adam(kept, 0.1)
+    optimizer, _ = Adam(moved, 0.1), Adam(kept, 0.1)
     descend((moved * kept).sum(), optimizer)
     torch.testing.assert_close(moved.detach(), torch.full((2, 3), 0.9))
     assert torch.equal(kept.detach(), torch.ones(2, 3))
