@@ -10,6 +10,7 @@ from offairl_lite.config import RELEASE
 from offairl_lite.discriminators import Discriminator, Reward
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
+from offairl_lite.policies import SquashedGaussian
 from offairl_lite.sac import SAC
 from offairl_lite.streams import Streams
 
@@ -31,6 +32,20 @@ def run(config, seeds, *given):
     return train(config, seeds, *given, progress=False)
 
 
+def finish(trainer):
+    """Take a trainer to its end; return the rows of each evaluation."""
+    evaluations = []
+    while not trainer.finished:
+        if rows := trainer.advance():
+            evaluations.append(rows)
+    return evaluations
+
+
+def until(trainer, reached):
+    while not reached(trainer):
+        trainer.advance()
+
+
 def assert_same(one, other):
     """Two runs with the same seeds are the same, bit for bit."""
     assert torch.equal(one.policy.params, other.policy.params)
@@ -40,6 +55,11 @@ def assert_same(one, other):
     np.testing.assert_array_equal(*([row.learned_return for row in r.rows] for r in (one, other)))
     if one.reward is not None:
         assert torch.equal(one.reward.params, other.reward.params)
+
+
+def assert_same_rows(one, other):
+    """The same evaluations, bit for bit; NaN equals NaN."""
+    assert str(one) == str(other)
 
 
 def test_same_seeds_same_run(tiny, maze):
@@ -69,7 +89,10 @@ def test_another_block_length_is_another_run(tiny, maze):
 def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_up(tiny, maze):
     config = replace(tiny, total_steps=400, warmup_steps=250, eval_every=50)
     trainer = Trainer(config, (0, 1), maze)
-    done = [(rows[0].step, trainer.generator.updates) for rows in trainer.run() if rows]
+    done = []
+    while not trainer.finished:
+        if rows := trainer.advance():
+            done.append((rows[0].step, trainer.generator.updates))
     assert done == [(250, 200), (300, 300), (350, 300), (400, 400)]
     assert trainer.episodes.tolist() == [4, 4]
 
@@ -77,7 +100,7 @@ def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_u
 def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze):
     config = replace(tiny, update_every=51, warmup_steps=51, total_steps=102)
     trainer = Trainer(config, (0,), maze)
-    list(trainer.run())
+    finish(trainer)
     assert trainer.generator.updates == 102
 
 
@@ -155,14 +178,15 @@ def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
 
 def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze):
     trainer = Trainer(tiny, (0,), maze)
-    next(trainer.run())
-    seen = trainer.replay.rows[:, :100, :3]
-    expected = Normaliser.of(seen, maze.transitions.obs.unsqueeze(0))
+    until(trainer, lambda t: t.generator is not None)
+    seen = trainer.replay.held(0).obs
+    assert len(seen) == 100
+    expected = Normaliser.of(seen.unsqueeze(0), maze.transitions.obs.unsqueeze(0))
     for part, wanted in zip(trainer.generator.normaliser, expected, strict=True):
         torch.testing.assert_close(part, wanted)
     assert trainer.discriminator.normaliser is trainer.generator.normaliser
     plain = Trainer(replace(tiny, normalise=False), (0,), maze)
-    next(plain.run())
+    until(plain, lambda t: t.generator is not None)
     assert (plain.generator.normaliser.mean == 0).all()
     assert (plain.generator.normaliser.std == 1).all()
 
@@ -184,7 +208,7 @@ def test_members_that_end_at_different_times_train_in_blocks(
         reward="implementation-1" if generator == "sac" else "dac",
     )
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER, episodes=5))
-    rows = [row for both in trainer.run() for row in both]
+    rows = [row for both in finish(trainer) for row in both]
     assert all(np.isfinite([row.mean_return, row.learned_return]).all() for row in rows)
     assert trainer.generator.updates == 200
     assert (trainer.episodes > 1).all()
@@ -192,9 +216,8 @@ def test_members_that_end_at_different_times_train_in_blocks(
     loops = trainer.episodes if mode != "none" else np.zeros(2)
     np.testing.assert_array_equal(trainer.replay.sizes, 200 + loops)
     if mode != "none":
-        held = [trainer.replay.rows[i, :n] for i, n in enumerate(trainer.replay.sizes)]
-        indicator = trainer.obs_dim - 1
-        np.testing.assert_array_equal([(r[:, indicator] == 1).sum() for r in held], loops)
+        indicators = [trainer.replay.held(i).obs[:, -1] for i in range(2)]
+        np.testing.assert_array_equal([(x == 1).sum() for x in indicators], loops)
         # The indicator stays 0 or 1 for the networks.
         assert (trainer.generator.normaliser.mean[..., -1] == 0).all()
         assert (trainer.generator.normaliser.std[..., -1] == 1).all()
@@ -204,11 +227,13 @@ def test_members_that_end_at_different_times_train_in_blocks(
 
 def test_a_time_limit_makes_no_absorbing_state(tiny, maze):
     trainer = Trainer(replace(tiny, absorbing="bootstrap"), (0, 1), maze)
-    list(trainer.run())
+    finish(trainer)
     assert trainer.replay.sizes == [200, 200]
-    assert (trainer.replay.rows[:, :200, trainer.obs_dim - 1] == 0).all()
-    # Nor a termination.
-    assert (trainer.replay.rows[..., -1] == 0).all()
+    for member in (0, 1):
+        held = trainer.replay.held(member)
+        assert (held.obs[:, -1] == 0).all()
+        # Nor a termination.
+        assert (held.terminated == 0).all()
 
 
 def test_without_blocks_members_must_end_together(tiny):
@@ -217,31 +242,131 @@ def test_without_blocks_members_must_end_together(tiny):
         run(config, (0, 1))
 
 
-# Refusals.
+# Divergence.
 
 
-@pytest.mark.parametrize(("delay", "tensor"), [(2, "actor"), (10**9, "critics")])
-def test_divergence_names_seed_step_and_tensor(tiny, delay, tensor):
+@pytest.mark.parametrize(("delay", "tensor"), [(2, "actor"), (10**9, "critic")])
+def test_divergence_names_seed_step_and_tensor_and_spares_the_others(tiny, delay, tensor):
     reward = frozen_reward(2)
     reward.params[1] = torch.nan
     config = replace(tiny, reward="frozen", actor_delay=delay)
-    with pytest.raises(FloatingPointError, match=f"seed 7 diverged by step 100: {tensor}"):
-        run(config, (3, 7), None, reward)
+    message = f"seed 7 diverged by step 100: its {tensor} is not finite"
+    with pytest.warns(UserWarning, match=message):
+        result = run(config, (3, 7), None, reward)
+    assert list(result.diverged) == [7]
+    assert [row.seed for row in result.rows] == [3, 3]
+    assert np.isfinite(result.returns[0]).all()
+    assert np.isnan(result.returns[1]).all()
+    assert (result.policy.params[1] == 0).all()
+    # The other one is as it would have been beside a member that is well.
+    beside = run(config, (3, 7), None, frozen_reward(2))
+    assert torch.equal(result.policy.params[0], beside.policy.params[0])
+    assert result.rows[-1] == beside.rows[-2]
 
 
-def test_the_rows_before_a_divergence_are_handed_out(tiny, monkeypatch):
+def test_when_every_member_has_diverged_the_run_stops_and_its_rows_are_there(tiny, monkeypatch):
     original, rows = SAC.update, []
 
     def update(self, *batch):
         if self.updates == 150:
-            self.critic_params.data[:, 1] = torch.inf
+            self.critic_params.data[1] = -torch.inf
         return original(self, *batch)
 
     monkeypatch.setattr(SAC, "update", update)
-    config = replace(tiny, reward="environment")
-    with pytest.raises(FloatingPointError, match="seed 7 diverged by step 200"):
-        complete(Trainer(config, (3, 7)), False, rows.append)
-    assert [both[0].step for both in rows] == [100]
+    trainer = Trainer(replace(tiny, reward="environment"), (3, 7))
+    with (
+        pytest.warns(UserWarning, match="diverged"),
+        pytest.raises(FloatingPointError, match=r"seed 3 diverged by step 200.*seed 7"),
+    ):
+        complete(trainer, False, rows.append)
+    assert [both[0].step for both in rows if both] == [100]
+
+
+def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeypatch):
+    original = SquashedGaussian.sample
+
+    def sample(self, params, obs, noise):
+        pre_tanh, log_prob = original(self, params, obs, noise)
+        if noise.shape[1] == 1:
+            pre_tanh[0] = torch.nan
+        return pre_tanh, log_prob
+
+    monkeypatch.setattr(SquashedGaussian, "sample", sample)
+    with pytest.warns(UserWarning, match="seed 3 diverged by step 100: its actions"):
+        result = run(replace(tiny, reward="environment"), (3, 7))
+    assert list(result.diverged) == [3]
+
+
+# Putting a run back where it was.
+
+
+@pytest.mark.parametrize("steps", [0, 50, 100, 130, 175])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"temperature": None},
+        {"env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap", "replay_size": 60},
+        {"env_id": HOPPER, "update_every": 30, "absorbing": "analytic", "reward": "dac"},
+        {"env_id": "Pendulum-v1", "reward": "environment", "generator": "td3", "update_every": 40},
+    ],
+    ids=["maze", "bootstrap", "analytic", "td3"],
+)
+def test_a_run_that_is_put_back_goes_the_same_way(
+    tiny, random_demonstrations, tmp_path, steps, changes
+):
+    """To the bit, although the replay's file has gone on since."""
+    config = replace(tiny, **changes)
+    given = random_demonstrations(config.env_id) if config.learns_reward else None
+
+    def trainer():
+        return Trainer(config, (0, 1), given, replay_file=tmp_path / "replay", memory=60)
+
+    one = trainer()
+    until(one, lambda t: t.steps == steps)
+    state = {name: tensor.clone() for name, tensor in one.state().items()}
+    until(one, lambda t: t.finished or t.steps == steps + 60)
+    expected = finish(trainer())
+    other = trainer()
+    until(other, lambda t: t.steps == min(steps + 60, 200))
+    other = trainer()
+    other.restore(state)
+    rows = finish(other)
+    assert_same_rows(rows, expected[len(expected) - len(rows) :])
+
+
+def test_every_piece_of_work_is_a_place_to_go_on_from(tiny, maze, tmp_path):
+    config = replace(tiny, total_steps=120, warmup_steps=60, update_every=20, eval_every=30)
+
+    def trainer():
+        return Trainer(config, (0,), maze, replay_file=tmp_path / "replay", memory=200)
+
+    expected, one, pieces = finish(trainer()), trainer(), 0
+    while not one.finished:
+        one.advance()
+        pieces += 1
+        state = {name: tensor.clone() for name, tensor in one.state().items()}
+        if pieces % 29 == 0 or one._due:
+            other = trainer()
+            other.restore(state)
+            rows = finish(other)
+            assert_same_rows(rows, expected[len(expected) - len(rows) :])
+    assert pieces == 120 + 6 + 3
+
+
+def test_a_state_of_another_run_is_refused(tiny, maze):
+    state = Trainer(tiny, (0, 1), maze).state()
+    with pytest.raises(ValueError, match="not a state of this"):
+        Trainer(tiny, (0,), maze).restore(state)
+    with pytest.raises(ValueError, match="not a state of this run: 'counts'"):
+        Trainer(tiny, (0,), maze).restore({})
+
+
+# Refusals.
+
+
+def test_no_seed_twice(tiny, maze):
+    with pytest.raises(ValueError, match=r"seeds are \(1, 1\)"):
+        Trainer(tiny, (1, 1), maze)
 
 
 def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):

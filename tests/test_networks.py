@@ -5,10 +5,10 @@ import torch
 from torch import nn
 
 from offairl_lite.networks import (
+    Adam,
     Normaliser,
     StackedMLP,
     TwinCritic,
-    Adam,
     descend,
     load_weights,
     save_weights,

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from offairl_lite.replay import Batch, Replay, gather, pack, unpack
+from offairl_lite.replay import Batch, Replay, pack, unpack
 from offairl_lite.streams import Streams
 
 
@@ -13,7 +13,7 @@ def numbered(values, obs_dim=2, action_dim=1):
 
 
 def held(replay, member):
-    return sorted(replay.rows[member, : replay.sizes[member], 0].tolist())
+    return replay.held(member).obs[:, 0].tolist()
 
 
 def test_packing_is_undone_by_unpacking():
@@ -36,13 +36,6 @@ def test_minibatches_are_cut_from_the_second_axis():
 def test_actions_are_squashed():
     batch = numbered([0.0, 1.0])
     assert torch.equal(batch.action, torch.tanh(batch.pre_tanh))
-
-
-def test_each_member_is_gathered_from_its_own_rows():
-    rows = Streams(range(3)).normal(4, 2)
-    index = torch.tensor([[0, 3, 3], [1, 1, 0], [2, 0, 1]])
-    expected = torch.stack([r[i] for r, i in zip(rows, index, strict=True)])
-    assert torch.equal(gather(rows, index), expected)
 
 
 def test_the_oldest_are_overwritten():
@@ -84,6 +77,51 @@ def test_sampling_is_uniform():
     counts = replay.sample(Streams((0,)), 40_000).obs[0, :, 0].long().bincount(minlength=4)
     # Four standard deviations of a binomial count.
     assert (counts - 10_000).abs().max() < 4 * (40_000 * 0.25 * 0.75) ** 0.5
+
+
+def test_a_replay_that_is_put_back_finds_its_rows_as_they_were():
+    """As many steps as it has slots more than capacity; the same rows are then drawn."""
+    replay = Replay(2, 3, 2, 1, slots=5)
+    for step in range(7):
+        replay.add(numbered([step, 10 + step]))
+    added, before = replay.added.clone(), replay.sample(Streams((0, 1)), 50)
+    for step in range(7, 9):
+        replay.add(numbered([step, 10 + step]))
+    assert held(replay, 0) == [6, 7, 8]
+    replay.added.copy_(added)
+    assert held(replay, 0) == [4, 5, 6]
+    for part, again in zip(before, replay.sample(Streams((0, 1)), 50), strict=True):
+        assert torch.equal(part, again)
+
+
+def test_spare_slots_change_no_draw():
+    few, many = Replay(1, 3, 2, 1), Replay(1, 3, 2, 1, slots=7)
+    for step in range(11):
+        few.add(numbered([step]))
+        many.add(numbered([step]))
+        drawn = [r.sample(Streams((0,)), 40).obs[0, :, 0].sort().values for r in (few, many)]
+        assert torch.equal(drawn[0].unique(), drawn[1].unique())
+        assert held(few, 0) == held(many, 0)
+
+
+def test_rows_in_a_file_are_found_again_and_the_file_can_grow(tmp_path):
+    file = tmp_path / "rows"
+    replay = Replay(2, 3, 2, 1, file=file)
+    for step in range(3):
+        replay.add(numbered([step, 10 + step]))
+    replay.flush()
+    assert file.stat().st_size == 3 * 2 * 7 * 4
+    again = Replay(2, 3, 2, 1, file=file, slots=6)
+    again.added.copy_(replay.added)
+    assert [held(again, i) for i in (0, 1)] == [[0, 1, 2], [10, 11, 12]]
+    again.add(numbered([3, 13]))
+    assert held(again, 1) == [11, 12, 13]
+
+
+def test_a_file_takes_its_room_at_once(tmp_path):
+    file = tmp_path / "rows"
+    Replay(4, 10_000, 20, 6, file=file)
+    assert file.stat().st_blocks * 512 >= file.stat().st_size == 4 * 10_000 * 48 * 4
 
 
 def test_an_empty_member_cannot_be_sampled():

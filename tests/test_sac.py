@@ -106,7 +106,7 @@ def test_the_actor_climbs_the_soft_value():
         return (q - 0.2 * log_prob).mean(1).detach()
 
     # With a critic that stands still, each step goes up.
-    learner.critic_optimizer.param_groups[0]["lr"] = 0.0
+    learner.critic_optimizer.learning_rate = 0.0
     before = value()
     update(learner, batch, reward, noise)
     assert (value() > before).all()

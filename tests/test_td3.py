@@ -38,7 +38,7 @@ def test_the_critic_s_target_is_that_of_the_equation():
 
 def test_the_actor_climbs_the_first_critic():
     learner, (batch, reward, noise) = make(TD3, actor_delay=1, learning_rate=1e-3), data()
-    learner.critic_optimizer.param_groups[0]["lr"] = 0.0
+    learner.critic_optimizer.learning_rate = 0.0
     obs = learner.normaliser(batch.obs)
 
     def value():

@@ -1,0 +1,100 @@
+"""However an update is executed, it is the same update."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from offairl_lite import execution
+from offairl_lite.execution import CudaGraphed, Execution, compiler
+from offairl_lite.imitate import Trainer, train
+
+MAZE = "offairl/PointMazeLeft-v0"
+HOPPER = "Hopper-v5"
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler")
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+
+VARIANTS = [
+    {"temperature": None, "update_every": 20},
+    {"env_id": HOPPER, "update_every": 20, "absorbing": "analytic", "penalty_on": "probability"},
+    {"env_id": HOPPER, "update_every": 20, "reward": "dac", "generator": "td3"},
+]
+
+
+def trained(config, demonstrations, execution):
+    """Weights after the warm-up's updates, the same batches for each execution."""
+    trainer = Trainer(config, (0, 1), demonstrations, execution=execution)
+    while trainer.generator is None or trainer.owed:
+        trainer.advance()
+    weights = trainer.generator.actor_params, *trainer.generator.critic_params
+    return torch.cat([*weights, trainer.discriminator.reward_params], 1).detach().cpu()
+
+
+def assert_same_updates(config, demonstrations, other):
+    """Equal up to rounding, which is small beside how far the weights have moved."""
+    written = trained(config, demonstrations, Execution())
+    torch.testing.assert_close(
+        trained(config, demonstrations, other), written, rtol=1e-3, atol=1e-4
+    )
+
+
+@needs_compiler
+@pytest.mark.parametrize("changes", VARIANTS, ids=["airl", "absorbing", "td3"])
+def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, changes):
+    config = replace(tiny, warmup_steps=20, **changes)
+    config = replace(config, hidden=(16,), reward_hidden=(8,), shaping_hidden=(8,))
+    assert_same_updates(config, random_demonstrations(config.env_id), Execution(compile=True))
+
+
+@needs_gpu
+@pytest.mark.parametrize("compile", [False, True])
+@pytest.mark.parametrize("changes", VARIANTS, ids=["airl", "absorbing", "td3"])
+def test_a_captured_update_is_the_same_update(tiny, random_demonstrations, changes, compile):
+    config = replace(tiny, warmup_steps=20, **changes)
+    demonstrations = random_demonstrations(config.env_id)
+    assert_same_updates(config, demonstrations, Execution("cuda", compile=compile))
+
+
+@needs_gpu
+def test_a_run_on_a_gpu_is_the_run_on_a_cpu_at_first(tiny, random_demonstrations):
+    """Rounding differs, so that later they part."""
+    demonstrations = random_demonstrations(MAZE)
+    runs = [train(tiny, (0, 1), demonstrations, execution=Execution(d)) for d in ("cpu", "cuda")]
+    first, second = (run.rows[0].mean_return for run in runs)
+    assert first == pytest.approx(second, rel=1e-2)
+
+
+@needs_gpu
+def test_a_graph_is_captured_once_for_each_flag_and_makes_no_update_twice():
+    total, calls = torch.zeros(3, device="cuda"), []
+
+    def step(x, double):
+        calls.append(double)
+        total.add_(2 * x if double else x)
+        return {"total": total * 1}
+
+    graphed, ones = CudaGraphed(step), torch.ones(3, device="cuda")
+    for count in range(1, 7):
+        assert graphed(ones, False)["total"].tolist() == [count] * 3
+    assert graphed(ones, True)["total"].tolist() == [8] * 3
+    # As written, then captured; the other flag for the first time.
+    assert calls == [False, False, True]
+
+
+def test_without_a_gpu_cuda_is_refused(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match=r"'cuda', and PyTorch sees no GPU here: use cpu"):
+        Execution("cuda")
+
+
+def test_without_a_compiler_compile_is_refused(monkeypatch):
+    monkeypatch.setattr(execution.shutil, "which", lambda name: None)
+    assert compiler() is None
+    with pytest.raises(ValueError, match=r"needs a C\+\+ compiler.*install g\+\+"):
+        Execution(compile=True)
+
+
+def test_no_threads_no_run():
+    with pytest.raises(ValueError, match="threads is 0; expected at least 1"):
+        Execution(threads=0)
