@@ -1,21 +1,24 @@
-"""The command line: `offairl list`, `run`, `demos`, `watch`."""
+"""The command line: `offairl list`, `run`, `resume`, `demos`, `watch`."""
 
+import os
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 import gymnasium
-import torch
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, records, scale, video
+from offairl_lite import demonstrations, records, runs, scale, video
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
+from offairl_lite.execution import Execution, compiler
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.imitate import Trainer, complete
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
 
@@ -91,10 +94,13 @@ def _run_command(name: str, size: Scale):
         dataset: str | None = None,
         trajectories: int = 50,
         frozen: Path | None = None,
+        device: Literal["cpu", "cuda"] = "cpu",
         threads: int = 1,
+        compile: Literal["auto", "yes", "no"] = "auto",
+        processes: int | None = None,
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
     ) -> None:
-        """Run an experiment, and record it in a folder of its own.
+        """Run an experiment, and record it in a folder of its own, from which it can be resumed.
 
         Args:
             experiment: its name; the defaults below are this experiment's at this scale.
@@ -104,7 +110,11 @@ def _run_command(name: str, size: Scale):
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
-            threads: of PyTorch and of the physics; small networks are fastest with one.
+            device: where networks live.
+            threads: of PyTorch and of the physics, in each process; small networks are fastest
+                with one.
+            compile: whether updates are compiled; auto: long runs of large networks.
+            processes: that share the members; by default one, or for large networks one a core.
             config: everything else.
         """
         reward = None
@@ -116,24 +126,118 @@ def _run_command(name: str, size: Scale):
                     f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
                 )
             reward = Reward.load(frozen)
-        torch.set_num_threads(threads)
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset)
-        # Made first, so that what does not fit is refused before anything is written.
-        trainer = Trainer(config, seeds, data, reward, num_threads=threads)
+        # With networks this small, what counts is the number of calls: one process makes fewest.
+        large = max(config.hidden, default=0) > 128
+        if processes is None:
+            processes = min(os.cpu_count() or 1, len(seeds)) if large and device == "cpu" else 1
+        if processes < 1:
+            raise ValueError(f"processes is {processes}; expected at least 1")
+        if compile == "auto":
+            long = large and config.total_steps >= 50_000
+            compile = "yes" if long and compiler() is not None else "no"
         folder = out or Path("runs") / f"{experiment}-{scale}"
-        with records.Recorder(folder, config, seeds) as recorder:
-            done = complete(trainer, on_rows=recorder.add)
-            recorder.finish(done)
-        print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
-        for row in done.rows[-len(seeds) :]:
-            print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
+        needed = runs.create(
+            folder,
+            config,
+            seeds,
+            execution=Execution(device, threads, compile == "yes"),
+            demonstrations=data,
+            dataset=dataset,
+            reward=reward,
+            experiment=experiment,
+            scale=scale,
+            shards=processes,
+        )
+        updates = "compiled" if compile == "yes" else "not compiled"
+        print(
+            f"{folder} takes up to {needed} of disk, mostly replay; processes: {processes}, "
+            f"updates: {updates}"
+        )
+        _work(folder, processes, data)
         if data is not None:
             print(f"demonstrations: {data.returns.mean():.2f}")
-        print(f"recorded in {folder}")
 
     return run
+
+
+def resume(
+    folder: Positional[Path],
+    *,
+    steps: int | None = None,
+    seeds: tuple[int, ...] = (),
+    members: tuple[int, ...] = (),
+    processes: int | None = None,
+) -> None:
+    """Go on with a run that was interrupted, or extend one that has ended.
+
+    Args:
+        folder: of the run.
+        steps: environment steps of each member, in all: more than before to extend the run.
+        seeds: members to add.
+        members: the seeds of the only shard to work on (a folder in RUN/members).
+        processes: by default one for each shard that is not finished, up to the cores.
+    """
+    if steps is not None:
+        runs.extend(folder, steps)
+    if seeds:
+        runs.add_seeds(folder, seeds)
+    if members:
+        return runs.work(folder, members, progress=sys.stderr.isatty())
+    return _work(folder, processes or os.cpu_count() or 1)
+
+
+def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | None = None) -> None:
+    """Take a run to its end and show what came of it."""
+    shards = runs.unfinished(folder)
+    try:
+        if processes > 1 and len(shards) > 1:
+            _spread(folder, shards, processes)
+        runs.work(folder, demonstrations=data)
+    except KeyboardInterrupt:
+        sys.exit(f"offairl: stopped; `offairl resume {folder}` goes on")
+    run = records.read(folder)
+    print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
+    for row in {row.seed: row for row in run.rows}.values():
+        print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
+    print(f"recorded in {folder}")
+    if run.diverged:
+        raise FloatingPointError("; ".join(run.diverged.values()))
+
+
+def _spread(folder: Path, shards: Sequence[tuple[int, ...]], processes: int) -> None:
+    """Work on several shards at once, each in a process of its own.
+
+    Raises:
+        ChildProcessError: some failed, which the others did not mind; says how.
+    """
+    waiting, running, failures = list(shards), {}, []
+    print(f"{len(shards)} shards, their output in {folder}/members/*/log.txt")
+    try:
+        while waiting or running:
+            while waiting and len(running) < processes:
+                home = runs.home(folder, waiting[0])
+                home.mkdir(parents=True, exist_ok=True)
+                members = ["--members", *map(str, waiting.pop(0))]
+                command = [sys.executable, "-m", "offairl_lite.cli", "resume", folder, *members]
+                with open(home / "log.txt", "wb") as log:
+                    running[home] = subprocess.Popen(command, stdout=log, stderr=log)
+            time.sleep(0.1)
+            for home, process in list(running.items()):
+                if process.poll() is not None:
+                    del running[home]
+                if process.returncode:
+                    last = (home / "log.txt").read_text().strip().splitlines()[-1:]
+                    failures.append(f"{home}/log.txt ends with {last} ({process.returncode})")
+    finally:
+        for process in running.values():
+            process.send_signal(signal.SIGINT)
+        for process in running.values():
+            process.wait()
+    if failures:
+        raise ChildProcessError(f"{'; '.join(failures)}; `offairl resume {folder}` goes on")
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -147,6 +251,7 @@ def main(args: Sequence[str] | None = None) -> None:
         commands = {
             "list": list_experiments,
             "run": _run_command(name, size),
+            "resume": resume,
             "demos": demos,
             "watch": watch,
         }
@@ -155,3 +260,7 @@ def main(args: Sequence[str] | None = None) -> None:
         )
     except (ValueError, OSError, FloatingPointError, gymnasium.error.Error) as error:
         sys.exit(f"offairl: {error}")
+
+
+if __name__ == "__main__":
+    main()

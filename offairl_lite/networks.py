@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, Self
 import torch
 from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from offairl_lite.streams import Streams
@@ -221,7 +221,7 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
     """Write tensors to a safetensors file, with what they mean as JSON beside them."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    save_file(plain, path, {"about": json.dumps(about)})
+    Path(path).write_bytes(save(plain, {"about": json.dumps(about)}))
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -1,31 +1,30 @@
-"""Runs on disk: one folder a run, with its configuration, its curve and what produced it.
+"""Records of runs: the files of a run's folder, and how they are read and written.
 
-config.json         every field of `Config`, and the seeds
-curve.csv           one row for each seed and evaluation
-run.json            versions, machine, start, wall time, state
-policy.safetensors  the policies at the end
-reward.safetensors  the learned rewards at the end, if any
+config.json          what the run is: every field of `Config`, seeds, execution, demonstrations
+curve.csv            one row for each seed and evaluation
+run.json             what produced it: versions, machine, start, wall time, state
+frozen.safetensors   the reward that was given, if one was
+policy.safetensors   the policies at the end
+reward.safetensors   the learned rewards at the end, if any
+members/             what it takes to go on (see `runs`)
 """
 
 import csv
+import io
 import json
 import os
-import platform
-import time
-from collections.abc import Sequence
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
-
-import torch
+from typing import Any, Self
 
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
 from offairl_lite.imitate import Row, Run
 from offairl_lite.policies import Policy
+
+FORMAT = 2
+"""Of run folders and checkpoints; it changes when older ones can no longer be read."""
 
 METRICS = (
     "cross_entropy",
@@ -38,93 +37,79 @@ METRICS = (
     "temperature",
 )
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
-PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
+HEADER = ",".join(COLUMNS) + "\n"
 
 
-class Recorder:
-    """Writes a run to a folder as it goes, so that a run cut short leaves its curve behind.
-
-    Used as a context manager, it also notes what stopped a run that did not finish.
+@dataclass(frozen=True)
+class Plan:
+    """What a run is: the contents of `config.json`.
 
     Args:
-        folder: a new or empty folder.
-        config: of the run.
-        seeds: of the run.
-
-    Raises:
-        FileExistsError: the folder holds something already; nothing is overwritten.
+        config: of every member.
+        shards: the seeds, in the order of all files, in groups that are trained together.
+        execution: the fields of `Execution`.
+        demonstrations: `dataset` (None: the shipped experts'), `trajectories` and `digest`; None
+            where no reward is learned.
+        checkpoint_every: steps and updates, together, between checkpoints.
+        experiment: the name under which it was run, if any.
+        scale: the scale at which it was run, if any.
     """
 
-    def __init__(self, folder: Path, config: Config, seeds: Sequence[int]) -> None:
-        if folder.exists() and any(folder.iterdir()):
-            raise FileExistsError(f"{folder} is not empty: choose another --out, or remove it")
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self._start = folder, time.monotonic()
-        _write_json(folder / "config.json", {"seeds": list(seeds), **asdict(config)})
-        with open(folder / "curve.csv", "w", newline="") as file:
-            csv.writer(file).writerow(COLUMNS)
-        self._about = {
-            "state": "running",
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "versions": {name: version(name) for name in PACKAGES},
-            "machine": platform.machine(),
-            "cores": os.cpu_count(),
-            "threads": torch.get_num_threads(),
-        }
-        self._state("running")
+    config: Config
+    shards: tuple[tuple[int, ...], ...]
+    execution: dict[str, Any]
+    demonstrations: dict[str, Any] | None
+    checkpoint_every: int
+    experiment: str | None = None
+    scale: str | None = None
 
-    def __enter__(self) -> Self:
-        return self
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of all members."""
+        return tuple(seed for shard in self.shards for seed in shard)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
-        if kind is not None:
-            self._state(f"stopped: {kind.__name__}: {error}")
+    def write(self, folder: Path) -> None:
+        """Write `config.json`."""
+        write_json(folder / "config.json", {"format": FORMAT, **asdict(self)})
 
-    def add(self, rows: Sequence[Row]) -> None:
-        """Append the rows of one evaluation."""
-        with open(self.folder / "curve.csv", "a", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            for row in rows:
-                returns = " ".join(map(repr, row.returns))
-                fixed = {**row._asdict(), "returns": returns, **row.metrics}
-                writer.writerow({name: fixed.get(name, "") for name in COLUMNS})
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read `config.json`.
 
-    def finish(self, run: Run) -> None:
-        """Write what came of the run and mark it finished."""
-        run.policy.save(self.folder / "policy.safetensors", seeds=list(run.seeds))
-        if run.reward is not None:
-            run.reward.save(self.folder / "reward.safetensors")
-        self._state("finished")
-
-    def _state(self, state: str) -> None:
-        wall = round(time.monotonic() - self._start, 1)
-        _write_json(self.folder / "run.json", {**self._about, "state": state, "wall_s": wall})
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: it is of another format, or damaged.
+        """
+        path = folder / "config.json"
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"there is no run in {folder}: it has no config.json; `offairl run NAME --out "
+                f"{folder}` starts one"
+            )
+        fields = read_json(path)
+        require_format(path, fields.pop("format", 1))
+        try:
+            given = {k: tuple(v) if isinstance(v, list) else v for k, v in fields["config"].items()}
+            shards = tuple(tuple(shard) for shard in fields["shards"])
+            return cls(**{**fields, "config": Config(**given), "shards": shards})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} does not describe a run: {error}") from error
 
 
 def read(folder: Path) -> Run:
-    """Return a recorded run; policy and reward are None where they were not kept.
+    """Return a recorded run, finished or not; policy and reward are None where there are none yet.
 
     Raises:
         FileNotFoundError: the folder is no record; the message names the missing file.
         ValueError: the record's configuration or curve is not of this version.
     """
-    for name in ("config.json", "curve.csv"):
-        if not (folder / name).is_file():
-            raise FileNotFoundError(f"{folder} is no record of a run: it has no {name}")
-    fields = json.loads((folder / "config.json").read_text())
-    seeds = tuple(fields.pop("seeds"))
-    try:
-        config = Config(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
-    except TypeError as error:
-        raise ValueError(f"{folder}/config.json is of another version: {error}") from error
-    with open(folder / "curve.csv", newline="") as file:
+    plan, path = Plan.read(folder), folder / "curve.csv"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} is no record of a run: it has no curve.csv")
+    with open(path, newline="") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise ValueError(
-                f"{folder}/curve.csv has columns {reader.fieldnames}; expected {list(COLUMNS)}"
-            )
+            raise ValueError(f"{path} has columns {reader.fieldnames}; expected {list(COLUMNS)}")
         rows = [
             Row(
                 int(line["seed"]),
@@ -137,7 +122,10 @@ def read(folder: Path) -> Run:
             )
             for line in reader
         ]
-    run = Run(config, seeds, rows)
+    run = Run(plan.config, plan.seeds, rows)
+    if (folder / "run.json").is_file():
+        shards = read_json(folder / "run.json").get("shards", {}).values()
+        run.diverged = {int(seed): why for s in shards for seed, why in s["diverged"].items()}
     if (folder / "policy.safetensors").is_file():
         run.policy = Policy.load(folder / "policy.safetensors")
     if (folder / "reward.safetensors").is_file():
@@ -145,8 +133,69 @@ def read(folder: Path) -> Run:
     return run
 
 
-def _write_json(path: Path, content: dict) -> None:
-    """Write a file whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-    part.replace(path)
+def lines(rows: Iterable[Row]) -> str:
+    """Return the lines of a curve's file for some rows."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    for row in rows:
+        fixed = {**row._asdict(), "returns": " ".join(map(repr, row.returns)), **row.metrics}
+        writer.writerow({name: fixed.get(name, "") for name in COLUMNS})
+    return text.getvalue()
+
+
+def merged(curves: Iterable[str], seeds: tuple[int, ...]) -> str:
+    """Return one curve of several: by step, then in the order of `seeds`."""
+    # A line is complete with its end: its process may be writing it, or have been killed.
+    parts = [line for curve in curves for line in curve.splitlines(True)[1:] if line[-1] == "\n"]
+    place = {str(seed): i for i, seed in enumerate(seeds)}
+
+    def order(line: str) -> tuple[int, int]:
+        seed, step, _ = line.split(",", 2)
+        return int(step), place[seed]
+
+    return HEADER + "".join(sorted(parts, key=order))
+
+
+def read_json(path: Path) -> dict:
+    """Read a JSON file.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Write a JSON file, whole or not at all."""
+    text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    write_whole(path, lambda part: part.write_text(text, "utf-8"))
+
+
+def write_whole(path: Path, write: Callable[[Path], Any]) -> None:
+    """Have a file written aside and put in its place: it is always the old one or the new."""
+    part = path.with_name(f"{path.name}.part")
+    write(part)
+    _sync(part)
+    os.replace(part, path)
+    _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    """Have a file, or the names in a folder, reach the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def require_format(path: Path, found: int) -> None:
+    """Raise ValueError unless a file is of this version's format."""
+    if found != FORMAT:
+        raise ValueError(
+            f"{path} has format {found}, and this version of the package reads format {FORMAT}: "
+            "use the version that wrote it (run.json names it), or start a new run"
+        )

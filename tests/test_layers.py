@@ -10,7 +10,8 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config streams execution envs networks policies replay absorbing evaluate demonstrations
-rewards discriminators sac td3 imitate records experiments plots video cli
+scale config streams execution envs networks policies replay absorbing evaluate demonstrations
+rewards discriminators sac td3 imitate records runs experiments plots video cli
 """.split()  # noqa: SIM905
 FILES = sorted(ROOT.rglob("*.py"))
 IDS = [path.relative_to(ROOT).with_suffix("").as_posix() for path in FILES]

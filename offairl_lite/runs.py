@@ -1,0 +1,617 @@
+"""Runs that can be killed at any moment: made, worked on, resumed, extended.
+
+A run's members train in shards: groups that one process takes forward together. All that a shard
+needs to go on is in `members/SEEDS/`:
+
+checkpoint.safetensors  the trainer's state, what it belongs to, and how long the curve was then
+replay.f32              the replay, mapped into memory; it holds what the checkpoint looks back on
+curve.csv               the rows of these members
+lock                    held by the process that is at work
+"""
+
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from offairl_lite import demonstrations as data
+from offairl_lite import envs
+from offairl_lite.config import Config
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.discriminators import Reward
+from offairl_lite.execution import Execution
+from offairl_lite.imitate import Row, Trainer, complete, replay_slots
+from offairl_lite.networks import Normaliser, StackedMLP, load_weights, save_weights
+from offairl_lite.policies import Policy
+from offairl_lite.records import (
+    FORMAT,
+    HEADER,
+    Plan,
+    lines,
+    merged,
+    read_json,
+    require_format,
+    write_json,
+    write_whole,
+)
+from offairl_lite.replay import Replay
+
+CHECKPOINT_EVERY = 2_000
+"""Steps and updates, together, between checkpoints."""
+
+PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
+
+NEW = {"state": "waiting", "step": 0, "wall_s": 0.0, "diverged": {}}
+"""What run.json says of a shard: how it is, the step of its last checkpoint, the seconds it took,
+and members that were given up."""
+
+
+def create(
+    folder: Path,
+    config: Config,
+    seeds: Sequence[int],
+    *,
+    execution: Execution = Execution(),  # noqa: B008
+    demonstrations: Demonstrations | None = None,
+    dataset: str | None = None,
+    reward: Reward | None = None,
+    experiment: str | None = None,
+    scale: str | None = None,
+    shards: int = 1,
+    checkpoint_every: int = CHECKPOINT_EVERY,
+) -> str:
+    """Make the folder of a new run, whole or not at all; `work` then does the run.
+
+    Args:
+        folder: a new or empty one.
+        config: what to do.
+        seeds: one for each member.
+        execution: where and how it is computed.
+        demonstrations: where a reward is to be learned.
+        dataset: their Minari data set, from which `work` loads them again; None: the shipped
+            experts'.
+        reward: a frozen reward, where `config.reward` is `frozen`.
+        experiment: its name, for the record.
+        scale: its scale, for the record.
+        shards: groups that the members are split into, for as many processes.
+        checkpoint_every: steps and updates, together, between checkpoints.
+
+    Returns:
+        The disk that the run needs, in words.
+
+    Raises:
+        FileExistsError: the folder holds something already; nothing is overwritten.
+        ValueError: something that `config` needs is missing, or does not fit the task.
+        OSError: the disk has no room for the run.
+    """
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FileExistsError(
+            f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
+            "for a new one choose another --out"
+        )
+    # Made so that what does not fit is refused before anything is written.
+    Trainer(replace(config, replay_size=1), seeds, demonstrations, reward, execution=execution)
+    groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
+    shown = None
+    if demonstrations is not None:
+        digest = _digest(demonstrations.transitions._asdict())
+        shown = {"dataset": dataset, "trajectories": len(demonstrations), "digest": digest}
+    plan = Plan(
+        config,
+        tuple(tuple(group.tolist()) for group in groups),
+        asdict(execution),
+        shown,
+        checkpoint_every,
+        experiment,
+        scale,
+    )
+    there = folder.absolute()
+    needed = disk_use(plan)
+    _require_room(next(path for path in there.parents if path.exists()), needed, plan)
+    hidden = there.with_name(f".{there.name}.{os.getpid()}")
+    try:
+        hidden.mkdir(parents=True)
+        plan.write(hidden)
+        (hidden / "members").mkdir()
+        (hidden / "curve.csv").write_text(HEADER)
+        write_json(hidden / "run.json", {"state": "waiting", **_origin(execution), "shards": {}})
+        if reward is not None:
+            reward.save(hidden / "frozen.safetensors")
+        os.replace(hidden, there)
+    except BaseException:
+        shutil.rmtree(hidden, ignore_errors=True)
+        raise
+    return _words(needed)
+
+
+def work(
+    folder: Path,
+    seeds: Sequence[int] | None = None,
+    *,
+    demonstrations: Demonstrations | None = None,
+    progress: bool = True,
+) -> None:
+    """Take a run from where it is to its end. It does nothing to a run that has ended.
+
+    Members that diverge are given up: run.json says why, and the others go on.
+
+    Args:
+        folder: of the run.
+        seeds: of the one shard to take forward; None for all, one after the other.
+        demonstrations: those the run began with; by default they are loaded.
+        progress: whether to show a bar.
+
+    Raises:
+        FileNotFoundError: there is no such run, or its checkpoint is gone.
+        ValueError: the checkpoint is damaged, or of another format or run; or the configuration,
+            the demonstrations or the frozen reward have changed.
+        OSError: another process is at work on the run, or its disk is full.
+    """
+    plan = Plan.read(folder)
+    if seeds is not None and tuple(seeds) not in plan.shards:
+        known = ", ".join(" ".join(map(str, shard)) for shard in plan.shards)
+        raise ValueError(f"{folder} has no members {list(seeds)} of their own; there are: {known}")
+    left = [s for s in unfinished(folder) if seeds is None or s == tuple(seeds)]
+    execution, reward = Execution(**plan.execution), None
+    torch.set_num_threads(execution.threads)
+    if left and plan.demonstrations is not None:
+        shown = plan.demonstrations
+        if demonstrations is None:
+            demonstrations = data.load(plan.config.env_id, shown["trajectories"], shown["dataset"])
+        if _digest(demonstrations.transitions._asdict()) != shown["digest"]:
+            raise ValueError(
+                f"{len(demonstrations)} trajectories of {shown['dataset'] or 'the shipped experts'}"
+                f" are not those that {folder} began with: bring them back, or start a new run"
+            )
+    if plan.config.reward == "frozen":
+        reward = Reward.load(folder / "frozen.safetensors")
+    for shard in left:
+        _Worker(folder, plan, shard).work(demonstrations, reward, execution, progress)
+    _publish(folder)
+
+
+def unfinished(folder: Path) -> list[tuple[int, ...]]:
+    """Return the seeds of each shard that is not at its end.
+
+    Raises:
+        FileNotFoundError: there is no such run, or its checkpoint is gone.
+        ValueError: a checkpoint is damaged, or members have been taken out of the plan.
+    """
+    plan, left = Plan.read(folder), []
+    lost = read_json(folder / "run.json")["shards"].keys() - set(map(_name, plan.shards))
+    if lost:
+        raise ValueError(
+            f"{folder}/config.json has lost the shards {sorted(lost)}, which the run has: put "
+            "their seeds back"
+        )
+    for shard in plan.shards:
+        found = _load(folder, shard)
+        done = found and found[1]["finished"] and found[1]["steps"] >= plan.config.total_steps
+        if not done and _status(folder, shard)["state"] != "diverged":
+            left.append(shard)
+    return left
+
+
+def extend(folder: Path, steps: int) -> None:
+    """Have a run go on to another number of steps, the next time it is worked on.
+
+    Raises:
+        ValueError: the run has gone further already.
+        OSError: a process is at work on it, or the disk has no room.
+    """
+    with _alone(folder) as plan:
+        reached = max(_status(folder, shard)["step"] for shard in plan.shards)
+        if steps < reached:
+            raise ValueError(f"{folder} has reached step {reached}; it cannot end at {steps}")
+        _change(folder, replace(plan, config=replace(plan.config, total_steps=steps)))
+
+
+def add_seeds(folder: Path, seeds: Sequence[int]) -> None:
+    """Add members to a run, a shard of their own that starts the next time it is worked on.
+
+    Raises:
+        ValueError: a seed is there already, or the run's reward is frozen.
+        OSError: a process is at work on it, or the disk has no room.
+    """
+    with _alone(folder) as plan:
+        if plan.config.reward == "frozen":
+            raise ValueError(
+                f"{folder} is paid by a frozen reward, which has {len(plan.seeds)} members and "
+                "none for further seeds: start a run of its own with --frozen"
+            )
+        if len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
+            raise ValueError(
+                f"{folder} has seeds {list(plan.seeds)}: {list(seeds)} are not all new"
+            )
+        _change(folder, replace(plan, shards=(*plan.shards, tuple(seeds))))
+
+
+class _Worker:
+    """One process's work on one shard.
+
+    Args:
+        folder: of the run.
+        plan: of the run.
+        shard: the members' seeds.
+    """
+
+    def __init__(self, folder: Path, plan: Plan, shard: tuple[int, ...]) -> None:
+        self.folder, self.plan, self.shard = folder, plan, shard
+        self.home = home(folder, shard)
+        self.curve, self.replay = self.home / "curve.csv", self.home / "replay.f32"
+        self.trainer: Trainer | None = None
+        self.saved = 0  # Steps and updates at the last checkpoint,
+        self.step = 0  # and steps.
+        self.start = time.monotonic()
+
+    def work(
+        self,
+        demonstrations: Demonstrations | None,
+        reward: Reward | None,
+        execution: Execution,
+        progress: bool,
+    ) -> None:
+        """Go from the last checkpoint to the end."""
+        self.home.mkdir(parents=True, exist_ok=True)
+        with _lock(self.home / "lock"), _full_disk_explained(self.folder, self.plan):
+            self._begin(demonstrations, reward, execution)
+            try:
+                self._note("running")
+                try:
+                    complete(self.trainer, progress, self._advanced)
+                    state = "finished"
+                except FloatingPointError:
+                    state = "diverged"
+                results = {"policy": self.trainer.generator.policy, "reward": self.trainer.reward}
+                for name, result in results.items():
+                    if result is not None:
+                        write_whole(self.home / f"{name}.safetensors", result.save)
+                if state == "finished":
+                    self._checkpoint()
+                self._note(state)
+            except BaseException as error:
+                with suppress(OSError):
+                    self._note(f"stopped: {type(error).__name__}: {error}")
+                raise
+
+    def _begin(
+        self, demonstrations: Demonstrations | None, reward: Reward | None, execution: Execution
+    ) -> None:
+        """Put the trainer where the checkpoint says; nothing is written if that is refused."""
+        config = self.plan.config
+        if reward is not None:
+            reward = reward.member(*map(self.plan.seeds.index, self.shard))
+        self.identity = {
+            **asdict(config),
+            **self.plan.execution,
+            "seeds": self.shard,
+            "checkpoint_every": self.plan.checkpoint_every,
+            "demonstrations": self.plan.demonstrations and self.plan.demonstrations["digest"],
+            "frozen": reward and _digest({"params": reward.params, **reward.normaliser._asdict()}),
+        }
+        del self.identity["total_steps"]
+        found = _load(self.folder, self.shard)
+        if found is None:
+            self.replay.unlink(missing_ok=True)
+            self.curve.write_text(HEADER)
+        else:
+            self._require_fit(found[1])
+        self.trainer = Trainer(
+            config,
+            self.shard,
+            demonstrations,
+            reward,
+            execution=execution,
+            replay_file=self.replay,
+            memory=self.plan.checkpoint_every,
+        )
+        if found is not None:
+            state, about = found
+            self.trainer.restore(state)
+            if about["ends"] != _ends(self.trainer.replay):
+                raise ValueError(
+                    f"{self.replay} is not as it was at the checkpoint beside it: bring it back, "
+                    "or start a new run"
+                )
+            self.trainer.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
+            os.truncate(self.curve, about["curve"])
+            self.start -= about["wall_s"]
+            self.saved, self.step = self._done, self.trainer.steps
+
+    def _require_fit(self, about: dict[str, Any]) -> None:
+        """Raise ValueError unless a checkpoint belongs to this plan and these files."""
+        was, now = about["identity"], json.loads(json.dumps(self.identity))
+        changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
+        if changed:
+            raise ValueError(
+                f"{self.home}/checkpoint.safetensors was written under another plan than "
+                f"{self.folder}/config.json: {'; '.join(changed)}; put back what was changed, or "
+                "start a new run"
+            )
+        if about["steps"] > self.plan.config.total_steps:
+            raise ValueError(
+                f"{self.folder} has reached step {about['steps']}, and its total_steps is "
+                f"{self.plan.config.total_steps}: `offairl resume {self.folder} --steps N` with "
+                "at least as many"
+            )
+        for path, length in ((self.curve, about["curve"]), (self.replay, about["replay"])):
+            found = path.stat().st_size if path.is_file() else 0
+            if found < length:
+                raise ValueError(
+                    f"{path} has {found} bytes, and had {length} at the checkpoint beside it: "
+                    "bring it back, or start a new run"
+                )
+
+    @property
+    def _done(self) -> int:
+        return self.trainer.steps + self.trainer.trained
+
+    def _advanced(self, rows: list[Row]) -> None:
+        """Record what was done, after each piece of work."""
+        if rows:
+            with open(self.curve, "a") as file:
+                file.write(lines(rows))
+            self._note("running")
+        if self._done - self.saved >= self.plan.checkpoint_every:
+            self._checkpoint()
+
+    def _checkpoint(self) -> None:
+        """Keep the state. The replay file holds what it takes to come back to the last one too."""
+        self.trainer.replay.flush()
+        with open(self.curve, "rb") as file:
+            os.fsync(file.fileno())
+        state = self.trainer.state()
+        about = {
+            "kind": "checkpoint",
+            "format": FORMAT,
+            "identity": self.identity,
+            "steps": self.trainer.steps,
+            "finished": self.trainer.finished,
+            "curve": self.curve.stat().st_size,
+            "replay": self.replay.stat().st_size,
+            "ends": _ends(self.trainer.replay),
+            "wall_s": time.monotonic() - self.start,
+            "diverged": self.trainer.diverged,
+        }
+        about["digest"] = _digest(state, about)
+        path = self.home / "checkpoint.safetensors"
+        write_whole(path, lambda part: save_weights(part, state, about))
+        self.saved, self.step = self._done, self.trainer.steps
+
+    def _note(self, state: str) -> None:
+        wall = round(time.monotonic() - self.start, 1)
+        diverged = self.trainer.diverged
+        status = {"state": state, "step": self.step, "wall_s": wall, "diverged": diverged}
+        _publish(self.folder, self.shard, status)
+
+
+def _publish(
+    folder: Path, shard: tuple[int, ...] | None = None, status: dict[str, Any] | None = None
+) -> None:
+    """Put the shards' curves together, and policies and rewards at the end; note how things are."""
+    with _lock(folder / "members" / "lock", wait=True):
+        plan, about = Plan.read(folder), read_json(folder / "run.json")
+        if shard is not None:
+            about["shards"][_name(shard)] = status
+        homes = [home(folder, shard) for shard in plan.shards]
+        paths = [place / "curve.csv" for place in homes]
+        curve = merged((path.read_text() for path in paths if path.is_file()), plan.seeds)
+        write_whole(folder / "curve.csv", lambda part: part.write_text(curve))
+        shards = [about["shards"].get(place.name, NEW) for place in homes]
+        states = [status["state"] for status in shards]
+        about["state"] = next((s for s in states if s.startswith("stopped")), "running")
+        ended = set(states) <= {"finished", "diverged"}
+        for name, kind in (("policy", Policy), ("reward", Reward)):
+            path = folder / f"{name}.safetensors"
+            parts = [place / path.name for place in homes]
+            if not ended:
+                path.unlink(missing_ok=True)
+            elif all(part.is_file() for part in parts):
+                whole = _together([kind.load(part) for part in parts])
+                notes = {"seeds": plan.seeds} if name == "policy" else {}
+                write_whole(path, lambda part, whole=whole, notes=notes: whole.save(part, **notes))
+        if ended:
+            lost = "finished" not in states
+            about["state"] = "stopped: every member has diverged" if lost else "finished"
+        about["wall_s"] = round(sum(status["wall_s"] for status in shards), 1)
+        write_json(folder / "run.json", about)
+
+
+def _together(parts: list) -> Any:
+    """Return one population of several policies, or of several rewards."""
+    pairs = zip(*(part.normaliser for part in parts), strict=True)
+    params = torch.cat([part.params for part in parts])
+    return replace(parts[0], params=params, normaliser=Normaliser(*map(torch.cat, pairs)))
+
+
+def _load(folder: Path, shard: tuple[int, ...]) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+    """Return a shard's checkpoint, verified; None where the shard has yet to begin."""
+    path = home(folder, shard) / "checkpoint.safetensors"
+    reached = _status(folder, shard)["step"]
+    if not path.is_file():
+        if reached:
+            raise FileNotFoundError(
+                f"{path} is gone, and the run had reached step {reached}: bring it back with all "
+                f"of {path.parent}, or start a new run"
+            )
+        return None
+    try:
+        state, about = load_weights(path, "checkpoint")
+        require_format(path, about.get("format", 1))
+        if about.pop("digest", None) != _digest(state, about):
+            raise ValueError("its contents are not those that were written")
+    except ValueError as error:
+        if "has format" in str(error):
+            raise
+        raise ValueError(
+            f"{path} is damaged: {error}; bring back a sound copy with all of {path.parent}, or "
+            "start a new run"
+        ) from error
+    return state, about
+
+
+def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:
+    """Return the SHA-256 of names, shapes and bytes, and of what is said about them."""
+    digest = hashlib.sha256(json.dumps(about).encode())
+    for name, tensor in sorted(tensors.items()):
+        array = tensor.detach().cpu().contiguous().numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array)
+    return digest.hexdigest()
+
+
+def _ends(replay: Replay) -> str:
+    """Return the SHA-256 of each member's oldest and newest row: it tells one replay from others,
+    and from itself at another time."""
+    last = replay.added - 1
+    first = replay.added - torch.tensor(replay.sizes)
+    rows = replay.rows[torch.stack([first, last]) % len(replay.rows), torch.arange(len(last))]
+    return _digest({"rows": rows})
+
+
+def home(folder: Path, shard: tuple[int, ...]) -> Path:
+    """Return where a shard's own files are."""
+    return folder / "members" / _name(shard)
+
+
+def _name(shard: tuple[int, ...]) -> str:
+    return "-".join(map(str, shard))
+
+
+def _status(folder: Path, shard: tuple[int, ...]) -> dict[str, Any]:
+    return read_json(folder / "run.json")["shards"].get(_name(shard), NEW)
+
+
+@contextmanager
+def _lock(path: Path, wait: bool = False) -> Iterator[None]:
+    """Hold a file's lock, which ends with the process if not before."""
+    with open(path, "a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise OSError(
+                f"another process is at work on {path.parent}: let it finish, or stop it"
+            ) from None
+        yield
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[Plan]:
+    """Give the plan of a run while nobody is at work on it."""
+    unfinished(folder)
+    with ExitStack() as locks:
+        for shard in Plan.read(folder).shards:
+            home(folder, shard).mkdir(exist_ok=True)
+            locks.enter_context(_lock(home(folder, shard) / "lock"))
+        yield Plan.read(folder)
+
+
+def _change(folder: Path, plan: Plan) -> None:
+    """Replace a run's plan, if the disk has room for the new one."""
+    _require_room(folder, disk_use(plan) - _used(folder), plan)
+    plan.write(folder)
+    _publish(folder)
+
+
+def disk_use(plan: Plan) -> int:
+    """Return the bytes that the replay and the checkpoints of a run come to."""
+    config = plan.config
+    env = envs.make(config.env_id, 1, 0)
+    obs = env.single_observation_space.shape[0] + (config.absorbing != "none")
+    action = env.single_action_space.shape[0]
+    env.close()
+    rows = replay_slots(config, plan.checkpoint_every) * (2 * obs + action + 2)
+    # Actor, two critics, r and V.
+    shapes = [((obs, *config.hidden, 2 * action), 1), ((obs + action, *config.hidden, 1), 2)]
+    if config.learns_reward:
+        shapes += [((obs + action, *config.reward_hidden, 1), 1)]
+        shapes += [((obs, *config.shaping_hidden, 1), 1)]
+    weights = sum(count * StackedMLP(sizes).num_params for sizes, count in shapes)
+    # Weights, two memories of Adam's and a target; generators and environments. While a checkpoint
+    # is written, the one before is still there.
+    checkpoint = 4 * 4 * weights + 2**15
+    return len(plan.seeds) * (4 * rows + 2 * checkpoint)
+
+
+def _used(folder: Path) -> int:
+    """Return the bytes that a run takes on its disk."""
+    return sum(512 * path.stat().st_blocks for path in folder.rglob("*"))
+
+
+def _require_room(place: Path, needed: int, plan: Plan) -> None:
+    free = shutil.disk_usage(place).free
+    if free < needed:
+        raise OSError(
+            f"the run needs {_words(needed)} of disk, mostly replay, and {place} has "
+            f"{_words(free)} left: lower replay_size ({plan.config.replay_size}), give fewer "
+            "seeds, or choose another disk"
+        )
+
+
+@contextmanager
+def _full_disk_explained(folder: Path, plan: Plan) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        missing = max(disk_use(plan) - _used(folder), 2**20)
+        raise OSError(
+            f"the disk of {folder} is full: free {_words(missing)}, and `offairl resume {folder}` "
+            "goes on from the last checkpoint"
+        ) from error
+
+
+def _words(size: int) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+
+
+def _origin(execution: Execution) -> dict[str, Any]:
+    """Return what produces a run, and when it was begun."""
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "wall_s": 0.0,
+        "versions": {name: version(name) for name in PACKAGES},
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": execution.threads,
+        "commit": _commit(),
+    }
+
+
+def _processor() -> str:
+    """Return the processor's name, which only Linux keeps in a file."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _commit() -> str | None:
+    """Return the commit of the package, if it runs from a checkout."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    with suppress(OSError):
+        done = subprocess.run(command, capture_output=True, text=True)
+        return done.stdout.strip() or None
+    return None
