@@ -10,7 +10,6 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config streams execution envs networks policies replay absorbing evaluate demonstrations
-scale config streams execution envs networks policies replay absorbing evaluate demonstrations
 rewards discriminators sac td3 imitate records runs experiments plots video cli
 """.split()  # noqa: SIM905
 FILES = sorted(ROOT.rglob("*.py"))
