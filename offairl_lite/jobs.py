@@ -7,7 +7,6 @@ the same jobs are therefore executed again, and go on.
 Workers of a Ray cluster import this module, so it imports nothing large.
 """
 
-import fcntl
 import json
 import os
 import platform
@@ -88,9 +87,8 @@ class Job:
 def of(folder: Path) -> list[Job]:
     """Return the jobs of a run, one for each of its shards."""
     about = json.loads((folder / "config.json").read_text())
-    names = [path.name.split("-") for path in sorted((folder / "members").glob("[0-9]*"))]
-    shards = [tuple(map(int, name)) for name in names] or [tuple(about["seeds"])]
-    return [Job(folder, members, about["config"]["total_steps"]) for members in shards]
+    steps = about["config"]["total_steps"]
+    return [Job(folder, tuple(shard), steps) for shard in about["shards"]]
 
 
 @dataclass(frozen=True)
@@ -227,9 +225,8 @@ def _signals() -> Iterator[list[int]]:
 
 
 def _tail(log: Path) -> str:
-    """Return the last lines of a log; of a line that was written over, as bars are, the last."""
-    text = log.read_text(errors="replace") if log.exists() else ""
-    return "\n".join(line.rpartition("\r")[2] for line in text.rstrip().split("\n")[-TAIL:])
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    return "\n".join(lines[-TAIL:])
 
 
 class Processes:
@@ -252,8 +249,8 @@ class Processes:
         """Return how many jobs there may be at a time."""
         return self.workers
 
-    def start(self, job: Job) -> subprocess.Popen | str:
-        """Start a job; return its process, or why there is none."""
+    def start(self, job: Job) -> subprocess.Popen:
+        """Start a job as a process."""
         if not job.folder.is_dir():
             raise ValueError(
                 f"{platform.node()} does not see {job.folder}: put runs on a file system that all "
@@ -261,41 +258,30 @@ class Processes:
             )
         job.shard.mkdir(parents=True, exist_ok=True)
         with open(job.log, "a") as log:
-            try:
-                # The process inherits the lock, which ends with it in whatever way it ends.
-                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return "another process is at work on it"
-            except OSError:  # a file system without locks
-                pass
             now = datetime.now(UTC).isoformat(timespec="seconds")
             print(f"# {now} on {platform.node()}", file=log, flush=True)
-            # One thread for one core; and a bar in a log need not move more than once a minute.
-            settings = ["env", "OMP_NUM_THREADS=1", "TQDM_MININTERVAL=60"]
             return subprocess.Popen(
-                [*settings, *self.command(job)],
+                ["env", "OMP_NUM_THREADS=1", *self.command(job)],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
 
-    def outcome(self, handle: subprocess.Popen | str) -> str | None:
+    def outcome(self, handle: subprocess.Popen) -> str | None:
         """Return how a job ended, None while it runs."""
-        code = handle if isinstance(handle, str) else handle.poll()
-        if code is None or isinstance(code, str):
-            return code
+        if (code := handle.poll()) is None:
+            return None
         if code < 0:
             memory = " (out of memory?)" if code == -signal.SIGKILL else ""
             return f"killed by {signal.Signals(-code).name}{memory}"
         return f"exit status {code}" if code else ""
 
-    def stop(self, handles: list[subprocess.Popen | str]) -> None:
-        """End jobs before their time."""
-        processes = [handle for handle in handles if isinstance(handle, subprocess.Popen)]
-        for process in processes:
-            process.terminate()
+    def stop(self, handles: list[subprocess.Popen]) -> None:
+        """End jobs before their time, by what Ctrl-C would send them."""
+        for process in handles:
+            process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + GRACE_S
-        for process in processes:
+        for process in handles:
             try:
                 process.wait(max(0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
@@ -380,7 +366,10 @@ def _attempt(job: Job, command: Command, expected: str) -> str:
     if (found := version("offairl-lite")) != expected:
         raise ValueError(f"{platform.node()} has offairl-lite {found}: install {expected} there")
     here = Processes(command, 1)
+    # Ray's workers hold SIGINT back, and a child would inherit that.
+    held = signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     handle = here.start(job)
+    signal.pthread_sigmask(signal.SIG_SETMASK, held)
     try:
         while (outcome := here.outcome(handle)) is None:
             time.sleep(0.2)

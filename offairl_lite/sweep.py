@@ -15,7 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from offairl_lite import demonstrations, jobs
 from offairl_lite.config import Config, differences
 from offairl_lite.discriminators import Reward
-from offairl_lite.execution import Execution
+from offairl_lite.execution import Execution, compiler
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.scale import Scale
 
@@ -76,14 +76,14 @@ def _parse(name: str, value: Any, kind: Any) -> Any:
 
 
 def subcommand(
-    name: str, size: Scale, create: Callable[..., None], command: jobs.Command = jobs.resume
+    name: str, size: Scale, create: Callable[..., str], command: jobs.Command = jobs.resume
 ):
     """Return `offairl sweep`, with the defaults of one experiment at one scale.
 
     Args:
         name: of the experiment.
         size: the scale.
-        create: makes a run folder, `runs.create`.
+        create: makes a run folder and returns the disk that it needs: `runs.create`.
         command: what a job runs.
     """
     experiment = find(name)
@@ -101,8 +101,8 @@ def subcommand(
         dataset: str | None = None,
         trajectories: int = 50,
         frozen: Path | None = None,
-        device: str = "cpu",
-        compile: bool = False,
+        device: Literal["cpu", "cuda"] = "cpu",
+        compile: Literal["auto", "yes", "no"] = "auto",
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
     ) -> None:
         """Run an experiment in many configurations, each in a folder of its own; or go on with it.
@@ -120,12 +120,11 @@ def subcommand(
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
-            device: cpu or cuda.
-            compile: whether updates are compiled; pays for long runs.
+            device: where networks live.
+            compile: whether updates are compiled; auto: long runs of large networks.
             config: what all runs have in common.
         """
         points = _points(config, grid)
-        execution = Execution(device, compile=compile)
         folder = out or Path("runs") / f"sweep-{experiment}-{scale}"
         fresh = {
             name: point for name, point in points.items() if not _there(folder / name, point, seeds)
@@ -137,18 +136,18 @@ def subcommand(
             if point.reward == "frozen" and frozen is None:
                 raise ValueError(f"{name} is paid by the reward of another run: give --frozen")
         for name, point in fresh.items():
-            create(
+            needed = create(
                 folder / name,
                 point,
                 seeds,
-                execution=execution,
+                execution=Execution(device, compile=_compiles(point, compile)),
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
-                trajectories=trajectories,
                 reward=Reward.load(frozen) if point.reward == "frozen" else None,
                 experiment=experiment,
                 scale=scale,
             )
+            print(f"{folder / name} takes up to {needed} of disk")
         todo = [job for name in points for job in jobs.of(folder / name)]
         try:
             failures = jobs.execute(
@@ -184,6 +183,12 @@ def _points(config: Config, axes: Sequence[str]) -> dict[str, Config]:
     return grid(config, **values)
 
 
+def _compiles(config: Config, choice: str) -> bool:
+    # Compiling takes a minute, and is for networks that are not all overhead.
+    long = max(config.hidden, default=0) > 128 and config.total_steps >= 50_000
+    return choice == "yes" or (choice == "auto" and long and compiler() is not None)
+
+
 def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
     """Return whether there is a run already, which must be one of the same kind.
 
@@ -198,7 +203,8 @@ def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
         other = Config(**lists)
     except TypeError as error:
         raise ValueError(f"{folder} is of another version: {error}") from error
-    found = {"seeds": (tuple(about["seeds"]), tuple(seeds)), **differences(other, config)}
+    others = tuple(seed for shard in about["shards"] for seed in shard)
+    found = {"seeds": (others, tuple(seeds)), **differences(other, config)}
     found = [f"{name} {was!r}, not {now!r}" for name, (was, now) in found.items() if was != now]
     if found:
         raise ValueError(f"{folder} is a run with {', '.join(found)}: choose another --out")
@@ -207,7 +213,7 @@ def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
 
 def _table(folder: Path, points: Iterable[str]) -> str:
     """Return the last evaluation of each run: mean, least and greatest return over seeds."""
-    lines = [f"{'step':>9} {'return':>10} {'from':>10} {'to':>10}  {folder}"]
+    lines = [f"{'step':>9} {'return':>10} {'least':>10} {'greatest':>10}  {folder}"]
     for name in points:
         rows = [row for job in jobs.of(folder / name) for row in _curve(job.shard)]
         last = {row["seed"]: row for row in rows}.values()
@@ -215,7 +221,10 @@ def _table(folder: Path, points: Iterable[str]) -> str:
         returns = [float(row["mean_return"]) for row in last]
         numbers = (sum(returns) / len(returns), min(returns), max(returns)) if returns else ()
         shown = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
-        lines.append(f"{step:9,} {shown}  {name}")
+        shards = json.loads((folder / name / "run.json").read_text()).get("shards", {})
+        lost = [seed for shard in shards.values() for seed in shard["diverged"]]
+        note = f" (diverged: {' '.join(lost)})" if lost else ""
+        lines.append(f"{step:9,} {shown}  {name}{note}")
     return "\n".join(lines)
 
 

@@ -22,10 +22,13 @@ about = json.loads((folder / "config.json").read_text())
 value = about["config"]["temperature"]
 if value == 0.4:
     sys.exit("too hot")
-name = "-".join(map(str, about["seeds"]))
-rows = [f"{seed},200,{10 * value + seed}\\n" for seed in about["seeds"]]
+(seeds,) = about["shards"]
+name = "-".join(map(str, seeds))
+rows = [f"{seed},200,{10 * value + seed}\\n" for seed in seeds]
 (folder / "members" / name / "curve.csv").write_text("seed,step,mean_return\\n" + "".join(rows))
-(folder / "run.json").write_text('{"state": "finished"}')
+lost = {"3": "too cold"} if value == 0.01 else {}
+shards = {name: {"diverged": lost}}
+(folder / "run.json").write_text(json.dumps({"state": "finished", "shards": shards}))
 """
 
 
@@ -103,9 +106,11 @@ def offairl(tmp_path, monkeypatch):
 
     def create(folder, config, seeds, **given):
         made.append((folder, given))
-        (folder / "members" / "-".join(map(str, seeds))).mkdir(parents=True)
-        about = {"seeds": list(seeds), "config": asdict(config)}
+        (folder / "members").mkdir(parents=True)
+        about = {"shards": [seeds], "config": asdict(config)}
         (folder / "config.json").write_text(json.dumps(about))
+        (folder / "run.json").write_text('{"state": "waiting", "shards": {}}')
+        return "3 MB"
 
     def call(line, name="maze-expert"):
         made.clear()
@@ -131,12 +136,13 @@ def test_a_sweep_makes_its_folders_does_its_work_and_shows_the_returns(offairl, 
     assert (given["execution"].device, given["demonstrations"]) == ("cpu", None)
     assert sorted(os.listdir(folder)) == sorted(names)
     out = capsys.readouterr().out
+    assert out.startswith(f"{folder / names[0]} takes up to 3 MB of disk\n")
     for name, numbers in zip(names, ["2.50 1.00 4.00"] * 2 + ["3.50 2.00 5.00"] * 2, strict=True):
         assert f"200 {numbers} {name}" in " ".join(out.split())
 
     # The same command again finds all done; a wider grid does what is missing.
     assert offairl(line) == []
-    assert capsys.readouterr().out == out
+    assert capsys.readouterr().out == out[out.index("     step") :]
     wider = line.replace("0.1,0.2", "0.1,0.2,0.3")
     assert [path.name for path, _ in offairl(wider)] == [
         "temperature=0.3,hidden=8",
@@ -156,7 +162,7 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     about = json.loads(Path("here/temperature=0.1/config.json").read_text())
     about["config"]["gone"] = 1
     Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
-    with pytest.raises(ValueError, match="temperature=0.1 is of another version"):
+    with pytest.raises(ValueError, match=r"temperature=0.1 is of another version"):
         offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
 
 
@@ -167,6 +173,32 @@ def test_failures_are_reported_and_the_rest_is_done(offairl, capsys):
     assert "too hot" in err
     assert "        0          -          -          -  temperature=0.4" in out
     assert "2.50       1.00       4.00  temperature=0.1" in out
+
+
+def test_members_that_diverged_are_named(offairl, capsys):
+    offairl(f"maze-expert --grid temperature=0.01 {SMALL}")
+    assert "temperature=0.01 (diverged: 3)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("choice", "hidden", "steps", "compiler", "expected"),
+    [
+        ("auto", "400x300", 50_000, "g++", True),
+        ("auto", "400x300", 50_000, None, False),
+        ("auto", "64x64", 50_000, "g++", False),
+        ("auto", "400x300", 20_000, "g++", False),
+        ("yes", "64x64", 20_000, "g++", True),
+        ("no", "400x300", 50_000, "g++", False),
+    ],
+)
+def test_long_runs_of_large_networks_are_compiled(
+    choice, hidden, steps, compiler, expected, offairl, monkeypatch
+):
+    monkeypatch.setattr(sweep, "compiler", lambda: compiler)
+    monkeypatch.setattr(sweep, "Execution", lambda device, compile: compile)
+    line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
+    ((_, given),) = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
+    assert given["execution"] is expected
 
 
 def test_an_interrupt_tells_how_to_go_on(offairl, capsys, monkeypatch):
@@ -191,9 +223,9 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
             "maze-imitation",
         )
     )
-    assert len(given["reward=dac"]["demonstrations"]) == given["reward=dac"]["trajectories"] == 2
+    assert len(given["reward=dac"]["demonstrations"]) == 2
     assert given["reward=environment"]["demonstrations"] is None
-    with pytest.raises(ValueError, match="temperature=0.1 is paid by the reward of another run"):
+    with pytest.raises(ValueError, match=r"temperature=0.1 is paid by the reward of another run"):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()
 
