@@ -346,7 +346,7 @@ class Ray:
         except self.ray.exceptions.RayTaskError as error:
             raise error.cause from None
         except self.ray.exceptions.RayError as error:  # a node or a worker that died
-            return str(error).split("\n")[0]
+            return str(error).split("\n")[0].split(". ")[0]
 
     def stop(self, handles: list) -> None:
         """End jobs before their time."""

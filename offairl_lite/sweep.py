@@ -95,6 +95,7 @@ def subcommand(
         grid: Annotated[tuple[str, ...], UseAppendAction] = (),
         seeds: tuple[int, ...] = experiment.seeds[size],
         out: Path | None = None,
+        prepare: bool = False,
         processes: int | None = None,
         engine: jobs.Engine = "processes",
         address: str | None = None,
@@ -110,10 +111,11 @@ def subcommand(
         Args:
             experiment: its name; the defaults below are this experiment's at this scale.
             scale: demo takes minutes, full is the paper's protocol.
-            grid: a field and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300; given
-                several times, all combinations are run.
+            grid: a field and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
+                combinations are run.
             seeds: of each run.
             out: where the run folders are; by default runs/sweep-EXPERIMENT-SCALE.
+            prepare: make the run folders, and leave the work in them to others.
             processes: at most so many runs at a time; by default one on each core.
             engine: processes on this machine, or on a Ray cluster.
             address: of the Ray cluster, auto on one of its nodes; by default a local one.
@@ -148,6 +150,8 @@ def subcommand(
                 scale=scale,
             )
             print(f"{folder / name} takes up to {needed} of disk")
+        if prepare:
+            return
         todo = [job for name in points for job in jobs.of(folder / name)]
         try:
             failures = jobs.execute(
@@ -215,8 +219,8 @@ def _table(folder: Path, points: Iterable[str]) -> str:
     """Return the last evaluation of each run: mean, least and greatest return over seeds."""
     lines = [f"{'step':>9} {'return':>10} {'least':>10} {'greatest':>10}  {folder}"]
     for name in points:
-        rows = [row for job in jobs.of(folder / name) for row in _curve(job.shard)]
-        last = {row["seed"]: row for row in rows}.values()
+        with open(folder / name / "curve.csv", newline="") as file:
+            last = {row["seed"]: row for row in csv.DictReader(file)}.values()
         step = min((int(row["step"]) for row in last), default=0)
         returns = [float(row["mean_return"]) for row in last]
         numbers = (sum(returns) / len(returns), min(returns), max(returns)) if returns else ()
@@ -226,10 +230,3 @@ def _table(folder: Path, points: Iterable[str]) -> str:
         note = f" (diverged: {' '.join(lost)})" if lost else ""
         lines.append(f"{step:9,} {shown}  {name}{note}")
     return "\n".join(lines)
-
-
-def _curve(shard: Path) -> list[dict[str, str]]:
-    if not (shard / "curve.csv").exists():
-        return []
-    with open(shard / "curve.csv", newline="") as file:
-        return list(csv.DictReader(file))

@@ -24,8 +24,10 @@ if value == 0.4:
     sys.exit("too hot")
 (seeds,) = about["shards"]
 name = "-".join(map(str, seeds))
-rows = [f"{seed},200,{10 * value + seed}\\n" for seed in seeds]
-(folder / "members" / name / "curve.csv").write_text("seed,step,mean_return\\n" + "".join(rows))
+curve = "seed,step,mean_return\\n"
+curve += "".join(f"{seed},200,{10 * value + seed}\\n" for seed in seeds)
+for path in (folder, folder / "members" / name):
+    (path / "curve.csv").write_text(curve)
 lost = {"3": "too cold"} if value == 0.01 else {}
 shards = {name: {"diverged": lost}}
 (folder / "run.json").write_text(json.dumps({"state": "finished", "shards": shards}))
@@ -110,6 +112,7 @@ def offairl(tmp_path, monkeypatch):
         about = {"shards": [seeds], "config": asdict(config)}
         (folder / "config.json").write_text(json.dumps(about))
         (folder / "run.json").write_text('{"state": "waiting", "shards": {}}')
+        (folder / "curve.csv").write_text("seed,step,mean_return\n")
         return "3 MB"
 
     def call(line, name="maze-expert"):
@@ -148,6 +151,14 @@ def test_a_sweep_makes_its_folders_does_its_work_and_shows_the_returns(offairl, 
         "temperature=0.3,hidden=8",
         "temperature=0.3,hidden=8x8",
     ]
+
+
+def test_folders_can_be_prepared_and_worked_on_later(offairl):
+    line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
+    assert len(offairl(f"{line} --prepare")) == 2
+    assert not list(Path("here").glob("*/members/*"))
+    assert offairl(line) == []
+    assert len(list(Path("here").glob("*/members/*/curve.csv"))) == 2
 
 
 def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
