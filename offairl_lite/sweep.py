@@ -1,0 +1,232 @@
+"""Many runs: the points of a grid, each in a run folder of its own, executed side by side."""
+
+import csv
+import itertools
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
+
+from offairl_lite import demonstrations, jobs
+from offairl_lite.config import Config, differences
+from offairl_lite.discriminators import Reward
+from offairl_lite.execution import Execution, compiler
+from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.scale import Scale
+
+
+def grid(config: Config, **values: Iterable[Any]) -> dict[str, Config]:
+    """Return the configurations of a grid, by names such as `reward=dac,temperature=0.1`.
+
+    Args:
+        config: what all have in common.
+        values: for each field to vary, its values, or texts of them: `none`, `true`, `false`;
+            the numbers of a tuple are separated by `x`, as in `hidden=400x300`.
+
+    Raises:
+        ValueError: no such field, a value it cannot have, or one that is given twice.
+    """
+    kinds = {field.name: field.type for field in fields(Config)}
+    for name in values.keys() - kinds.keys():
+        raise ValueError(f"no field {name!r} to vary; there are: {', '.join(kinds)}")
+    axes = [[(name, _parse(name, v, kinds[name])) for v in vs] for name, vs in values.items()]
+    points: dict[str, Config] = {}
+    for point in itertools.product(*axes):
+        name = ",".join(f"{field}={_text(value)}" for field, value in point).replace("/", "-")
+        if name in points:
+            raise ValueError(f"{name} is in the grid twice: give every value once")
+        try:
+            points[name] = replace(config, **dict(point))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    if not points or not values:
+        raise ValueError("the grid is empty: give a field and at least one value")
+    return points
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return "x".join(map(_text, value))
+    return str(value).lower() if value is None or isinstance(value, bool) else str(value)
+
+
+def _parse(name: str, value: Any, kind: Any) -> Any:
+    """Return a value, or its text, as what its field holds."""
+    text = _text(value)
+    try:
+        if get_origin(kind) is UnionType:  # of something and None
+            return None if text == "none" else _parse(name, value, get_args(kind)[0])
+        if get_origin(kind) is tuple:
+            one, *more = get_args(kind)
+            parts = tuple(_parse(name, part, one) for part in text.split("x"))
+            if more != [...] and len(parts) != 1 + len(more):
+                raise ValueError
+            return parts
+        if kind is bool:
+            return {"true": True, "false": False}[text.lower()]
+        return kind(text) if kind in (int, float) else text  # Config knows the choices
+    except (KeyError, ValueError):
+        kind = kind.__name__ if isinstance(kind, type) else kind
+        raise ValueError(f"{name} is {text!r}; expected {kind}") from None
+
+
+def subcommand(
+    name: str, size: Scale, create: Callable[..., str], command: jobs.Command = jobs.resume
+):
+    """Return `offairl sweep`, with the defaults of one experiment at one scale.
+
+    Args:
+        name: of the experiment.
+        size: the scale.
+        create: makes a run folder and returns the disk that it needs: `runs.create`.
+        command: what a job runs.
+    """
+    experiment = find(name)
+
+    def sweep(
+        experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
+        *,
+        scale: Scale = size,
+        grid: Annotated[tuple[str, ...], UseAppendAction] = (),
+        seeds: tuple[int, ...] = experiment.seeds[size],
+        out: Path | None = None,
+        prepare: bool = False,
+        processes: int | None = None,
+        engine: jobs.Engine = "processes",
+        address: str | None = None,
+        dataset: str | None = None,
+        trajectories: int = 50,
+        frozen: Path | None = None,
+        device: Literal["cpu", "cuda"] = "cpu",
+        compile: Literal["auto", "yes", "no"] = "auto",
+        config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
+    ) -> None:
+        """Run an experiment in many configurations, each in a folder of its own; or go on with it.
+
+        Args:
+            experiment: its name; the defaults below are this experiment's at this scale.
+            scale: demo takes minutes, full is the paper's protocol.
+            grid: a field and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
+                combinations are run.
+            seeds: of each run.
+            out: where the run folders are; by default runs/sweep-EXPERIMENT-SCALE.
+            prepare: make the run folders, and leave the work in them to others.
+            processes: at most so many runs at a time; by default one on each core.
+            engine: processes on this machine, or on a Ray cluster.
+            address: of the Ray cluster, auto on one of its nodes; by default a local one.
+            dataset: a Minari data set to imitate; by default the shipped experts'.
+            trajectories: how many of its episodes to use.
+            frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            device: where networks live.
+            compile: whether updates are compiled; auto: long runs of large networks.
+            config: what all runs have in common.
+        """
+        points = _points(config, grid)
+        folder = out or Path("runs") / f"sweep-{experiment}-{scale}"
+        fresh = {
+            name: point for name, point in points.items() if not _there(folder / name, point, seeds)
+        }
+        data = {}
+        for name, point in fresh.items():
+            if point.learns_reward and point.env_id not in data:
+                data[point.env_id] = demonstrations.load(point.env_id, trajectories, dataset)
+            if point.reward == "frozen" and frozen is None:
+                raise ValueError(f"{name} is paid by the reward of another run: give --frozen")
+        for name, point in fresh.items():
+            needed = create(
+                folder / name,
+                point,
+                seeds,
+                execution=Execution(device, compile=_compiles(point, compile)),
+                demonstrations=data[point.env_id] if point.learns_reward else None,
+                dataset=dataset,
+                reward=Reward.load(frozen) if point.reward == "frozen" else None,
+                experiment=experiment,
+                scale=scale,
+            )
+            print(f"{folder / name} takes up to {needed} of disk")
+        if prepare:
+            return
+        todo = [job for name in points for job in jobs.of(folder / name)]
+        try:
+            failures = jobs.execute(
+                todo,
+                engine,
+                processes,
+                address=address,
+                gpus=float(device != "cpu"),
+                command=command,
+            )
+        except KeyboardInterrupt:
+            print("\nstopped; the same command goes on from the checkpoints", file=sys.stderr)
+            sys.exit(130)
+        print(_table(folder, points))
+        if failures:
+            print(*failures, sep="\n\n", file=sys.stderr)
+            raise ChildProcessError(
+                f"{len(failures)} of {len(todo)} jobs failed, twice: see above; the same command "
+                "goes on with them"
+            )
+
+    return sweep
+
+
+def _points(config: Config, axes: Sequence[str]) -> dict[str, Config]:
+    values: dict[str, list[str]] = {}
+    for axis in axes:
+        name, given, texts = axis.partition("=")
+        name = name.replace("-", "_")
+        if not given or name in values:
+            raise ValueError(f"--grid {axis}: expected FIELD=VALUE,VALUE, and each field once")
+        values[name] = texts.split(",")
+    return grid(config, **values)
+
+
+def _compiles(config: Config, choice: str) -> bool:
+    # Compiling takes a minute, and is for networks that are not all overhead.
+    long = max(config.hidden, default=0) > 128 and config.total_steps >= 50_000
+    return choice == "yes" or (choice == "auto" and long and compiler() is not None)
+
+
+def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
+    """Return whether there is a run already, which must be one of the same kind.
+
+    Raises:
+        ValueError: it is of another configuration, or of other seeds.
+    """
+    if not (folder / "config.json").exists():
+        return False
+    about = json.loads((folder / "config.json").read_text())
+    lists = {name: tuple(v) if isinstance(v, list) else v for name, v in about["config"].items()}
+    try:
+        other = Config(**lists)
+    except TypeError as error:
+        raise ValueError(f"{folder} is of another version: {error}") from error
+    others = tuple(seed for shard in about["shards"] for seed in shard)
+    found = {"seeds": (others, tuple(seeds)), **differences(other, config)}
+    found = [f"{name} {was!r}, not {now!r}" for name, (was, now) in found.items() if was != now]
+    if found:
+        raise ValueError(f"{folder} is a run with {', '.join(found)}: choose another --out")
+    return True
+
+
+def _table(folder: Path, points: Iterable[str]) -> str:
+    """Return the last evaluation of each run: mean, least and greatest return over seeds."""
+    lines = [f"{'step':>9} {'return':>10} {'least':>10} {'greatest':>10}  {folder}"]
+    for name in points:
+        with open(folder / name / "curve.csv", newline="") as file:
+            last = {row["seed"]: row for row in csv.DictReader(file)}.values()
+        step = min((int(row["step"]) for row in last), default=0)
+        returns = [float(row["mean_return"]) for row in last]
+        numbers = (sum(returns) / len(returns), min(returns), max(returns)) if returns else ()
+        shown = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
+        shards = json.loads((folder / name / "run.json").read_text()).get("shards", {})
+        lost = [seed for shard in shards.values() for seed in shard["diverged"]]
+        note = f" (diverged: {' '.join(lost)})" if lost else ""
+        lines.append(f"{step:9,} {shown}  {name}{note}")
+    return "\n".join(lines)

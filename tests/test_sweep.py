@@ -1,0 +1,247 @@
+import json
+import os
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import tyro
+
+from offairl_lite import jobs, sweep
+from offairl_lite.config import CORRECTED
+
+SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
+
+# In the place of `offairl resume`: the step's return is ten times the temperature, plus the seed.
+WORK = """
+import json, sys
+from pathlib import Path
+
+folder = Path(sys.argv[1])
+about = json.loads((folder / "config.json").read_text())
+value = about["config"]["temperature"]
+if value == 0.4:
+    sys.exit("too hot")
+(seeds,) = about["shards"]
+name = "-".join(map(str, seeds))
+curve = "seed,step,mean_return\\n"
+curve += "".join(f"{seed},200,{10 * value + seed}\\n" for seed in seeds)
+for path in (folder, folder / "members" / name):
+    (path / "curve.csv").write_text(curve)
+lost = {"3": "too cold"} if value == 0.01 else {}
+shards = {name: {"diverged": lost}}
+(folder / "run.json").write_text(json.dumps({"state": "finished", "shards": shards}))
+"""
+
+
+def test_a_grid_is_the_product_of_its_values():
+    points = sweep.grid(CORRECTED, reward=["implementation-3", "dac"], temperature=[0.1, None])
+    assert list(points) == [
+        "reward=implementation-3,temperature=0.1",
+        "reward=implementation-3,temperature=none",
+        "reward=dac,temperature=0.1",
+        "reward=dac,temperature=none",
+    ]
+    assert points["reward=dac,temperature=0.1"] == replace(CORRECTED, reward="dac", temperature=0.1)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [
+        ("hidden", (400, 300), "400x300"),
+        ("hidden", (64,), "64"),
+        ("log_std_range", (-5.0, 2.0), "-5.0x2.0"),
+        ("learning_rate", 1e-05, "1e-05"),
+        ("normalise", False, "false"),
+        ("update_every", None, "none"),
+        ("update_every", 1000, "1000"),
+        ("absorbing", "none", "none"),
+        ("env_id", "Pendulum-v1", "Pendulum-v1"),
+    ],
+)
+def test_a_value_and_its_text_are_the_same(field, value, text):
+    expected = {f"{field}={text}": replace(CORRECTED, **{field: value})}
+    assert sweep.grid(CORRECTED, **{field: [value]}) == expected
+    assert sweep.grid(CORRECTED, **{field: [text]}) == expected
+
+
+def test_names_are_those_of_folders():
+    assert list(sweep.grid(CORRECTED, env_id=["offairl/PointMazeLeft-v0"])) == [
+        "env_id=offairl-PointMazeLeft-v0"
+    ]
+
+
+def test_numbers_are_of_the_type_of_their_field():
+    (config,) = sweep.grid(CORRECTED, temperature=["1"], hidden=[[8, 8]]).values()
+    assert (repr(config.temperature), config.hidden) == ("1.0", (8, 8))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"heat": [1]}, r"no field 'heat' to vary; there are: env_id, reward, .*, eval_episodes$"),
+        ({"temperature": ["hot"]}, r"temperature is 'hot'; expected float \| None"),
+        ({"batch_size": [1.5]}, "batch_size is '1.5'; expected int"),
+        ({"normalise": [1]}, "normalise is '1'; expected bool"),
+        ({"hidden": ["8,8"]}, r"hidden is '8,8'; expected tuple\[int, ...\]"),
+        ({"log_std_range": [(1, 2, 3)]}, r"'1x2x3'; expected tuple\[float, float\]"),
+        ({"reward": ["gail"]}, r"^reward=gail: reward is 'gail'; expected one of"),
+        ({"generator": ["sac", "td3"]}, "^generator=td3: reward 'implementation-4' needs log π"),
+        ({"temperature": [1, 1.0]}, "temperature=1.0 is in the grid twice"),
+        ({"temperature": []}, "the grid is empty"),
+        ({}, "the grid is empty"),
+    ],
+)
+def test_what_makes_no_grid_is_named(values, message):
+    with pytest.raises(ValueError, match=message):
+        sweep.grid(CORRECTED, **values)
+
+
+@pytest.fixture
+def offairl(tmp_path, monkeypatch):
+    """The command, with stand-ins for the making of folders and for the work in them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jobs, "POLL_S", 0.02)
+    script = tmp_path / "work.py"
+    script.write_text(WORK)
+    made = []
+
+    def create(folder, config, seeds, **given):
+        made.append((folder, given))
+        (folder / "members").mkdir(parents=True)
+        about = {"shards": [seeds], "config": asdict(config)}
+        (folder / "config.json").write_text(json.dumps(about))
+        (folder / "run.json").write_text('{"state": "waiting", "shards": {}}')
+        (folder / "curve.csv").write_text("seed,step,mean_return\n")
+        return "3 MB"
+
+    def call(line, name="maze-expert"):
+        made.clear()
+        command = sweep.subcommand(
+            name, "demo", create, lambda job: [sys.executable, str(script), str(job.folder)]
+        )
+        tyro.extras.subcommand_cli_from_dict(
+            {"sweep": command, "other": print}, prog="offairl", args=["sweep", *line.split()]
+        )
+        return list(made)
+
+    return call
+
+
+def test_a_sweep_makes_its_folders_does_its_work_and_shows_the_returns(offairl, capsys, tmp_path):
+    line = f"maze-expert --grid temperature=0.1,0.2 --grid hidden=8,8x8 {SMALL}"
+    made = offairl(line)
+    folder = Path("runs/sweep-maze-expert-demo")
+    names = [f"temperature={t},hidden={h}" for t in ("0.1", "0.2") for h in ("8", "8x8")]
+    assert [path for path, _ in made] == [folder / name for name in names]
+    given = made[0][1]
+    assert (given["experiment"], given["scale"]) == ("maze-expert", "demo")
+    assert (given["execution"].device, given["demonstrations"]) == ("cpu", None)
+    assert sorted(os.listdir(folder)) == sorted(names)
+    out = capsys.readouterr().out
+    assert out.startswith(f"{folder / names[0]} takes up to 3 MB of disk\n")
+    for name, numbers in zip(names, ["2.50 1.00 4.00"] * 2 + ["3.50 2.00 5.00"] * 2, strict=True):
+        assert f"200 {numbers} {name}" in " ".join(out.split())
+
+    # The same command again finds all done; a wider grid does what is missing.
+    assert offairl(line) == []
+    assert capsys.readouterr().out == out[out.index("     step") :]
+    wider = line.replace("0.1,0.2", "0.1,0.2,0.3")
+    assert [path.name for path, _ in offairl(wider)] == [
+        "temperature=0.3,hidden=8",
+        "temperature=0.3,hidden=8x8",
+    ]
+
+
+def test_folders_can_be_prepared_and_worked_on_later(offairl):
+    line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
+    assert len(offairl(f"{line} --prepare")) == 2
+    assert not list(Path("here").glob("*/members/*"))
+    assert offairl(line) == []
+    assert len(list(Path("here").glob("*/members/*/curve.csv"))) == 2
+
+
+def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
+    offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
+    for other, message in [
+        ("--discount 0.9", r"temperature=0.1 is a run with discount 0.99, not 0.9: choose another"),
+        ("--seeds 1", r"is a run with seeds \(0, 3\), not \(1,\)"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            offairl(f"maze-expert --grid temperature=0.05,0.1 {SMALL} {other} --out here")
+    assert os.listdir("here") == ["temperature=0.1"]
+    about = json.loads(Path("here/temperature=0.1/config.json").read_text())
+    about["config"]["gone"] = 1
+    Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
+    with pytest.raises(ValueError, match=r"temperature=0.1 is of another version"):
+        offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
+
+
+def test_failures_are_reported_and_the_rest_is_done(offairl, capsys):
+    with pytest.raises(ChildProcessError, match="1 of 2 jobs failed, twice: see above"):
+        offairl(f"maze-expert --grid temperature=0.4,0.1 {SMALL} --out here")
+    out, err = capsys.readouterr()
+    assert "too hot" in err
+    assert "        0          -          -          -  temperature=0.4" in out
+    assert "2.50       1.00       4.00  temperature=0.1" in out
+
+
+def test_members_that_diverged_are_named(offairl, capsys):
+    offairl(f"maze-expert --grid temperature=0.01 {SMALL}")
+    assert "temperature=0.01 (diverged: 3)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("choice", "hidden", "steps", "compiler", "expected"),
+    [
+        ("auto", "400x300", 50_000, "g++", True),
+        ("auto", "400x300", 50_000, None, False),
+        ("auto", "64x64", 50_000, "g++", False),
+        ("auto", "400x300", 20_000, "g++", False),
+        ("yes", "64x64", 20_000, "g++", True),
+        ("no", "400x300", 50_000, "g++", False),
+    ],
+)
+def test_long_runs_of_large_networks_are_compiled(
+    choice, hidden, steps, compiler, expected, offairl, monkeypatch
+):
+    monkeypatch.setattr(sweep, "compiler", lambda: compiler)
+    monkeypatch.setattr(sweep, "Execution", lambda device, compile: compile)
+    line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
+    ((_, given),) = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
+    assert given["execution"] is expected
+
+
+def test_an_interrupt_tells_how_to_go_on(offairl, capsys, monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jobs, "execute", interrupted)
+    with pytest.raises(SystemExit) as stop:
+        offairl(f"maze-expert --grid temperature=0.1 {SMALL}")
+    assert stop.value.code == 130
+    assert "the same command goes on from the checkpoints" in capsys.readouterr().err
+
+
+def test_demonstrations_and_rewards_are_given_where_they_are_needed(
+    offairl, shipped_experts, minari_folder, tmp_path
+):
+    given = dict(
+        (path.name, given)
+        for path, given in offairl(
+            "maze-imitation --grid reward=dac,environment --temperature 0.1 --trajectories 2 "
+            f"{SMALL}",
+            "maze-imitation",
+        )
+    )
+    assert len(given["reward=dac"]["demonstrations"]) == 2
+    assert given["reward=environment"]["demonstrations"] is None
+    with pytest.raises(ValueError, match=r"temperature=0.1 is paid by the reward of another run"):
+        offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
+    assert not Path("there").exists()
+
+
+@pytest.mark.parametrize("axis", ["temperature", "=1", "temperature=0.1 --grid temperature=0.2"])
+def test_an_axis_has_a_form(axis, offairl):
+    with pytest.raises(ValueError, match=r"FIELD=VALUE,VALUE|no field ''"):
+        offairl(f"maze-expert --grid {axis} {SMALL}")
