@@ -17,7 +17,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -178,33 +178,32 @@ def execute(
         if engine == "processes"
         else Ray(command, workers, address, gpus)
     )
-    try:
-        with bar, _signals() as signals:
-            while waiting or running:
-                while waiting and len(running) < crew.capacity():
-                    job = waiting.popleft()
-                    running[job] = crew.start(job)
-                show()
-                time.sleep(POLL_S)
-                if signals:
-                    raise KeyboardInterrupt
-                for job, handle in list(running.items()):
-                    steps[job] = job.step
-                    if (reason := crew.outcome(handle)) is None:
-                        continue
-                    del running[job]
-                    if not reason:
-                        done, steps[job] = done + 1, job.steps
-                    elif job not in failed:
-                        failed.add(job)
-                        waiting.append(job)
-                        bar.write(f"{job}: {reason}; it is tried once more", file=sys.stderr)
-                    else:
-                        failures.append(Failure(job, reason, _tail(job.log)))
+    # Signals are noted until the last job has ended.
+    with bar, _signals() as signals, ExitStack() as last:
+        last.callback(crew.close)
+        last.callback(lambda: crew.stop(list(running.values())))
+        while waiting or running:
+            while waiting and len(running) < crew.capacity():
+                job = waiting.popleft()
+                running[job] = crew.start(job)
             show()
-    finally:
-        crew.stop(list(running.values()))
-        crew.close()
+            time.sleep(POLL_S)
+            if signals:
+                raise KeyboardInterrupt
+            for job, handle in list(running.items()):
+                steps[job] = job.step
+                if (reason := crew.outcome(handle)) is None:
+                    continue
+                del running[job]
+                if not reason:
+                    done, steps[job] = done + 1, job.steps
+                elif job not in failed:
+                    failed.add(job)
+                    waiting.append(job)
+                    bar.write(f"{job}: {reason}; it is tried once more", file=sys.stderr)
+                else:
+                    failures.append(Failure(job, reason, _tail(job.log)))
+        show()
     return failures
 
 
