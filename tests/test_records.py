@@ -144,7 +144,7 @@ def test_a_configuration_of_another_version_is_refused(record):
     with pytest.raises(ValueError, match=r"config.json has format 1, and .* reads format 2"):
         read(record)
     path.write_text("{")
-    with pytest.raises(ValueError, match="config.json is damaged: Expecting"):
+    with pytest.raises(ValueError, match=r"config.json is damaged: Expecting"):
         read(record)
 
 
