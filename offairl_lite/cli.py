@@ -232,6 +232,9 @@ def _spread(folder: Path, shards: Sequence[tuple[int, ...]], processes: int) -> 
                     last = (home / "log.txt").read_text().strip().splitlines()[-1:]
                     failures.append(f"{home}/log.txt ends with {last} ({process.returncode})")
     finally:
+        if running:
+            # A terminal's Ctrl-C reaches them as well; twice would disturb what they note down.
+            time.sleep(1)
         for process in running.values():
             process.send_signal(signal.SIGINT)
         for process in running.values():

@@ -168,7 +168,14 @@ def work(
         known = ", ".join(" ".join(map(str, shard)) for shard in plan.shards)
         raise ValueError(f"{folder} has no members {list(seeds)} of their own; there are: {known}")
     left = [s for s in unfinished(folder) if seeds is None or s == tuple(seeds)]
-    execution, reward = Execution(**plan.execution), None
+    reached = _reached(folder, plan)
+    if reached > plan.config.total_steps:
+        raise ValueError(
+            f"{folder} has reached step {reached}, and its total_steps is "
+            f"{plan.config.total_steps}: `offairl resume {folder} --steps N` takes any N from "
+            f"{reached} on"
+        )
+    execution = Execution(**plan.execution)
     torch.set_num_threads(execution.threads)
     if left and plan.demonstrations is not None:
         shown = plan.demonstrations
@@ -179,10 +186,8 @@ def work(
                 f"{len(demonstrations)} trajectories of {shown['dataset'] or 'the shipped experts'}"
                 f" are not those that {folder} began with: bring them back, or start a new run"
             )
-    if plan.config.reward == "frozen":
-        reward = Reward.load(folder / "frozen.safetensors")
     for shard in left:
-        _Worker(folder, plan, shard).work(demonstrations, reward, execution, progress)
+        _Worker(folder, plan, shard).work(demonstrations, execution, progress)
     _publish(folder)
 
 
@@ -191,7 +196,7 @@ def unfinished(folder: Path) -> list[tuple[int, ...]]:
 
     Raises:
         FileNotFoundError: there is no such run, or its checkpoint is gone.
-        ValueError: a checkpoint is damaged, or members have been taken out of the plan.
+        ValueError: a checkpoint is damaged or of another format or run, or the plan has changed.
     """
     plan, left = Plan.read(folder), []
     lost = read_json(folder / "run.json")["shards"].keys() - set(map(_name, plan.shards))
@@ -201,9 +206,10 @@ def unfinished(folder: Path) -> list[tuple[int, ...]]:
             "their seeds back"
         )
     for shard in plan.shards:
-        found = _load(folder, shard)
-        done = found and found[1]["finished"] and found[1]["steps"] >= plan.config.total_steps
-        if not done and _status(folder, shard)["state"] != "diverged":
+        found = _load(folder, plan, shard)
+        whole = found and found[1]["finished"] and found[1]["steps"] >= plan.config.total_steps
+        kept = (home(folder, shard) / "policy.safetensors").is_file()
+        if not (whole and kept) and _status(folder, shard)["state"] != "diverged":
             left.append(shard)
     return left
 
@@ -216,7 +222,7 @@ def extend(folder: Path, steps: int) -> None:
         OSError: a process is at work on it, or the disk has no room.
     """
     with _alone(folder) as plan:
-        reached = max(_status(folder, shard)["step"] for shard in plan.shards)
+        reached = _reached(folder, plan)
         if steps < reached:
             raise ValueError(f"{folder} has reached step {reached}; it cannot end at {steps}")
         _change(folder, replace(plan, config=replace(plan.config, total_steps=steps)))
@@ -236,9 +242,7 @@ def add_seeds(folder: Path, seeds: Sequence[int]) -> None:
                 "none for further seeds: start a run of its own with --frozen"
             )
         if len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
-            raise ValueError(
-                f"{folder} has seeds {list(plan.seeds)}: {list(seeds)} are not all new"
-            )
+            raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(plan.seeds)}")
         _change(folder, replace(plan, shards=(*plan.shards, tuple(seeds))))
 
 
@@ -263,14 +267,13 @@ class _Worker:
     def work(
         self,
         demonstrations: Demonstrations | None,
-        reward: Reward | None,
         execution: Execution,
         progress: bool,
     ) -> None:
         """Go from the last checkpoint to the end."""
         self.home.mkdir(parents=True, exist_ok=True)
         with _lock(self.home / "lock"), _full_disk_explained(self.folder, self.plan):
-            self._begin(demonstrations, reward, execution)
+            self._begin(demonstrations, execution)
             try:
                 self._note("running")
                 try:
@@ -290,33 +293,17 @@ class _Worker:
                     self._note(f"stopped: {type(error).__name__}: {error}")
                 raise
 
-    def _begin(
-        self, demonstrations: Demonstrations | None, reward: Reward | None, execution: Execution
-    ) -> None:
-        """Put the trainer where the checkpoint says; nothing is written if that is refused."""
-        config = self.plan.config
-        if reward is not None:
-            reward = reward.member(*map(self.plan.seeds.index, self.shard))
-        self.identity = {
-            **asdict(config),
-            **self.plan.execution,
-            "seeds": self.shard,
-            "checkpoint_every": self.plan.checkpoint_every,
-            "demonstrations": self.plan.demonstrations and self.plan.demonstrations["digest"],
-            "frozen": reward and _digest({"params": reward.params, **reward.normaliser._asdict()}),
-        }
-        del self.identity["total_steps"]
-        found = _load(self.folder, self.shard)
+    def _begin(self, demonstrations: Demonstrations | None, execution: Execution) -> None:
+        """Put the trainer where the checkpoint says."""
+        found = _load(self.folder, self.plan, self.shard)
         if found is None:
             self.replay.unlink(missing_ok=True)
             self.curve.write_text(HEADER)
-        else:
-            self._require_fit(found[1])
         self.trainer = Trainer(
-            config,
+            self.plan.config,
             self.shard,
             demonstrations,
-            reward,
+            _frozen(self.folder, self.plan, self.shard),
             execution=execution,
             replay_file=self.replay,
             memory=self.plan.checkpoint_every,
@@ -325,38 +312,11 @@ class _Worker:
             state, about = found
             self.trainer.restore(state)
             if about["ends"] != _ends(self.trainer.replay):
-                raise ValueError(
-                    f"{self.replay} is not as it was at the checkpoint beside it: bring it back, "
-                    "or start a new run"
-                )
+                raise ValueError(_damaged(self.replay, "it is not as it was at the checkpoint"))
             self.trainer.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
-            os.truncate(self.curve, about["curve"])
+            os.truncate(self.curve, about["curve.csv"])
             self.start -= about["wall_s"]
             self.saved, self.step = self._done, self.trainer.steps
-
-    def _require_fit(self, about: dict[str, Any]) -> None:
-        """Raise ValueError unless a checkpoint belongs to this plan and these files."""
-        was, now = about["identity"], json.loads(json.dumps(self.identity))
-        changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
-        if changed:
-            raise ValueError(
-                f"{self.home}/checkpoint.safetensors was written under another plan than "
-                f"{self.folder}/config.json: {'; '.join(changed)}; put back what was changed, or "
-                "start a new run"
-            )
-        if about["steps"] > self.plan.config.total_steps:
-            raise ValueError(
-                f"{self.folder} has reached step {about['steps']}, and its total_steps is "
-                f"{self.plan.config.total_steps}: `offairl resume {self.folder} --steps N` with "
-                "at least as many"
-            )
-        for path, length in ((self.curve, about["curve"]), (self.replay, about["replay"])):
-            found = path.stat().st_size if path.is_file() else 0
-            if found < length:
-                raise ValueError(
-                    f"{path} has {found} bytes, and had {length} at the checkpoint beside it: "
-                    "bring it back, or start a new run"
-                )
 
     @property
     def _done(self) -> int:
@@ -380,11 +340,11 @@ class _Worker:
         about = {
             "kind": "checkpoint",
             "format": FORMAT,
-            "identity": self.identity,
+            "identity": _identity(self.folder, self.plan, self.shard),
             "steps": self.trainer.steps,
             "finished": self.trainer.finished,
-            "curve": self.curve.stat().st_size,
-            "replay": self.replay.stat().st_size,
+            "curve.csv": self.curve.stat().st_size,
+            "replay.f32": self.replay.stat().st_size,
             "ends": _ends(self.trainer.replay),
             "wall_s": time.monotonic() - self.start,
             "diverged": self.trainer.diverged,
@@ -440,30 +400,72 @@ def _together(parts: list) -> Any:
     return replace(parts[0], params=params, normaliser=Normaliser(*map(torch.cat, pairs)))
 
 
-def _load(folder: Path, shard: tuple[int, ...]) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+def _load(
+    folder: Path, plan: Plan, shard: tuple[int, ...]
+) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
     """Return a shard's checkpoint, verified; None where the shard has yet to begin."""
-    path = home(folder, shard) / "checkpoint.safetensors"
-    reached = _status(folder, shard)["step"]
+    here = home(folder, shard)
+    path, reached = here / "checkpoint.safetensors", _status(folder, shard)["step"]
     if not path.is_file():
         if reached:
             raise FileNotFoundError(
-                f"{path} is gone, and the run had reached step {reached}: bring it back with all "
-                f"of {path.parent}, or start a new run"
+                f"{path} is gone, and the run had reached step {reached}: bring all of {here} "
+                "back, or start a new run"
             )
         return None
     try:
         state, about = load_weights(path, "checkpoint")
-        require_format(path, about.get("format", 1))
-        if about.pop("digest", None) != _digest(state, about):
-            raise ValueError("its contents are not those that were written")
+        sound = about.pop("digest", None) == _digest(state, about)
     except ValueError as error:
-        if "has format" in str(error):
-            raise
+        raise ValueError(_damaged(path, error)) from error
+    require_format(path, about.get("format", 1))
+    if not sound:
+        raise ValueError(_damaged(path, "its contents are not those that were written"))
+    was = about["identity"]
+    now = json.loads(json.dumps(_identity(folder, plan, shard)))
+    changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
+    if changed:
         raise ValueError(
-            f"{path} is damaged: {error}; bring back a sound copy with all of {path.parent}, or "
-            "start a new run"
-        ) from error
+            f"{path} is of another run than {folder}/config.json: {'; '.join(changed)}; put back "
+            "what was changed, or start a new run"
+        )
+    for name in ("curve.csv", "replay.f32"):
+        found = (here / name).stat().st_size if (here / name).is_file() else 0
+        if found < about[name]:
+            raise ValueError(_damaged(here / name, f"it had {about[name]} bytes, and has {found}"))
     return state, about
+
+
+def _reached(folder: Path, plan: Plan) -> int:
+    """Return the last step from which a shard can go on."""
+    return max(found[1]["steps"] if (found := _load(folder, plan, s)) else 0 for s in plan.shards)
+
+
+def _damaged(path: Path, why: object) -> str:
+    return f"{path} is damaged: {why}; bring all of {path.parent} back, or start a new run"
+
+
+def _identity(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Any]:
+    """Return all that a checkpoint depends on and that must stay as it is."""
+    reward = _frozen(folder, plan, shard)
+    identity = {
+        **asdict(plan.config),
+        **plan.execution,
+        "seeds": shard,
+        "checkpoint_every": plan.checkpoint_every,
+        "demonstrations": plan.demonstrations and plan.demonstrations["digest"],
+        "frozen": reward and _digest({"params": reward.params, **reward.normaliser._asdict()}),
+    }
+    del identity["total_steps"]
+    return identity
+
+
+def _frozen(folder: Path, plan: Plan, shard: tuple[int, ...]) -> Reward | None:
+    """Return the reward that pays a shard, where it is frozen."""
+    if plan.config.reward != "frozen":
+        return None
+    reward = Reward.load(folder / "frozen.safetensors")
+    return reward.member(*map(plan.seeds.index, shard))
 
 
 def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:

@@ -1,11 +1,17 @@
 import json
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 import torch
 
-from offairl_lite import cli
+from offairl_lite import cli, runs
 from offairl_lite.experiments import EXPERIMENTS
-from offairl_lite.records import read
+from offairl_lite.imitate import Trainer
+from offairl_lite.records import Plan, read
+from offairl_lite.sac import SAC
 
 SMALL = (
     "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
@@ -63,6 +69,7 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert (run.config.temperature, run.config.warmup_hold) == (None, 10.0)
     assert json.loads((folder / "run.json").read_text())["state"] == "finished"
     out = capsys.readouterr().out
+    assert "takes up to 0.2 MB of disk, mostly replay; processes: 1, updates: not compiled" in out
     assert f"{run.rows[-1].mean_return:10.2f}" in out
     assert "recorded in runs/maze-imitation-demo" in out
 
@@ -124,6 +131,8 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
         ("demos Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         ("watch Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         ("watch no.safetensors", "no policy at no.safetensors"),
+        ("resume nowhere", "no run in nowhere: it has no config.json; `offairl run NAME --out now"),
+        (f"run maze-expert --processes 0 {SMALL}", "processes is 0; expected at least 1"),
     ],
 )
 def test_mistakes_are_answered_in_one_line(
@@ -152,3 +161,122 @@ def test_a_folder_in_use_is_left_alone(capsys, elsewhere):
     line = f"run maze-expert --out used {SMALL}"
     assert "used is not empty" in failure(line, capsys)
     assert [path.name for path in (elsewhere / "used").iterdir()] == ["notes.txt"]
+    assert "`offairl resume used` goes on" in failure(line, capsys)
+
+
+def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dataset):
+    write_dataset("my/pendulum-v0")
+    task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --update-every 50"
+    offairl(f"run imitate --out whole {task} {SMALL}")
+    advance = Trainer.advance
+
+    def stop(self):
+        if self.steps == 150:
+            raise KeyboardInterrupt
+        return advance(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "advance", stop)
+        line = f"run imitate --out mine {task} {SMALL}"
+        assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: "
+    assert [row.step for row in read(elsewhere / "mine").rows] == [100, 100]
+    offairl("resume mine")
+    for name in ("curve.csv", "policy.safetensors", "reward.safetensors"):
+        assert (elsewhere / "mine" / name).read_bytes() == (elsewhere / "whole" / name).read_bytes()
+    offairl("resume mine --steps 300 --seeds 5 --processes 1")
+    run = read(elsewhere / "mine")
+    assert (run.config.total_steps, run.seeds) == (300, (0, 1, 5))
+    assert [row.step for row in run.rows if row.seed == 5] == [100, 200, 300]
+    assert len(run.policy) == 3
+    assert "reached step 300; it cannot end at 200" in failure("resume mine --steps 200", capsys)
+
+
+def manifest(folder):
+    return json.loads((folder / "run.json").read_text())
+
+
+def test_a_member_that_diverges_is_told_of(capsys, elsewhere, monkeypatch):
+    original = SAC.update
+
+    def update(self, *batch):
+        if self.updates == 150:
+            self.critic_params.data[:, 1] = torch.inf
+        return original(self, *batch)
+
+    monkeypatch.setattr(SAC, "update", update)
+    with pytest.warns(UserWarning, match="seed 1 diverged"):
+        message = failure(f"run maze-expert --out one {SMALL}", capsys)
+    assert message.startswith("offairl: seed 1 diverged by step 200: its ")
+    assert "recorded in one" in capsys.readouterr().out
+    assert failure("resume one", capsys) == message
+    assert [(row.seed, row.step) for row in read(elsewhere / "one").rows] == [
+        (0, 100),
+        (1, 100),
+        (0, 200),
+    ]
+
+
+def test_processes_share_the_members(capsys, elsewhere):
+    offairl(f"run maze-expert --out both {SMALL} --processes 2")
+    out = capsys.readouterr().out
+    assert "processes: 2" in out
+    assert "2 shards, their output in both/members/*/log.txt" in out
+    run = read(elsewhere / "both")
+    assert (len(run.policy), run.returns.shape) == (2, (2, 2))
+    assert Plan.read(elsewhere / "both").shards == ((0,), (1,))
+    assert "seed" not in (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
+    assert manifest(elsewhere / "both")["state"] == "finished"
+
+
+def test_a_process_that_fails_is_told_of(capsys, elsewhere, monkeypatch):
+    offairl(f"run maze-expert --out both {SMALL} --total-steps 300 --seeds 0")
+    monkeypatch.setattr(runs, "work", lambda *_, **__: None)
+    offairl("resume both --seeds 1 --processes 1")
+    offairl("resume both --steps 400 --processes 1")
+    (elsewhere / "both" / "members" / "0" / "replay.f32").write_bytes(b"")
+    shards = [(0,), (1,)]
+    monkeypatch.setattr(runs, "unfinished", lambda _: shards)
+    message = failure("resume both --processes 2", capsys)
+    assert message.endswith("`offairl resume both` goes on")
+    assert "members/0/log.txt ends with ['offairl: " in message
+    assert "replay.f32 is damaged" in message
+
+
+def test_ctrl_c_stops_all_processes(elsewhere):
+    line = f"run maze-expert --out both {SMALL} --total-steps 1000000 --processes 2"
+    command = [sys.executable, "-m", "offairl_lite.cli", *line.split()]
+    parent = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    while not (elsewhere / "both").exists() or len(manifest(elsewhere / "both")["shards"]) < 2:
+        time.sleep(0.1)
+        assert parent.poll() is None
+    parent.send_signal(signal.SIGINT)
+    assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
+    assert parent.returncode == 1
+    states = [shard["state"] for shard in manifest(elsewhere / "both")["shards"].values()]
+    assert states == ["stopped: KeyboardInterrupt: "] * 2
+    # Nobody holds the locks.
+    runs.extend(elsewhere / "both", 2_000_000)
+
+
+@pytest.mark.parametrize(
+    ("line", "compiler", "processes", "compiled"),
+    [
+        ("run maze-expert --scale full", "g++", 4, True),
+        ("run maze-expert --scale full --seeds 0 1", None, 2, False),
+        ("run maze-expert --scale full --processes 3 --compile no", "g++", 3, False),
+        ("run maze-expert --scale full --total-steps 49000", "g++", 4, False),
+        ("run maze-expert", "g++", 1, False),
+    ],
+)
+def test_large_networks_are_compiled_and_spread(
+    line, compiler, processes, compiled, capsys, monkeypatch
+):
+    def create(*_, execution, shards, **__):
+        raise ValueError(f"{shards} {execution.compile} {execution.device} {execution.threads}")
+
+    monkeypatch.setattr(cli, "compiler", lambda: compiler)
+    monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
+    monkeypatch.setattr(cli.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(runs, "create", create)
+    assert failure(line, capsys) == f"offairl: {processes} {compiled} cpu 1"

@@ -1,16 +1,26 @@
-import json
+"""The files of a run's folder."""
+
 import math
 from dataclasses import replace
 
 import pytest
 import torch
 
-from offairl_lite import records
 from offairl_lite.discriminators import Reward
-from offairl_lite.imitate import Row, Run, Trainer, complete
+from offairl_lite.imitate import Row, train
 from offairl_lite.networks import Normaliser, save_weights
 from offairl_lite.policies import Deterministic, Policy
-from offairl_lite.records import COLUMNS, METRICS, Recorder, read
+from offairl_lite.records import (
+    HEADER,
+    METRICS,
+    Plan,
+    lines,
+    merged,
+    read,
+    read_json,
+    write_json,
+    write_whole,
+)
 from offairl_lite.streams import Streams
 
 SEEDS = (3, 7)
@@ -29,69 +39,77 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def unfinished(folder, tiny):
-    recorder = Recorder(folder, tiny, SEEDS)
-    recorder.add(rows(100))
-    recorder.add(rows(200))
-    return recorder
+def plan(tiny):
+    return Plan(tiny, ((3,), (7,)), {"device": "cpu", "threads": 1}, None, 60, "maze", "demo")
 
 
-def test_a_run_comes_back_as_it_was(folder, tiny, random_demonstrations):
-    recorder = Recorder(folder, tiny, SEEDS)
-    demonstrations = random_demonstrations(tiny.env_id)
-    run = complete(Trainer(tiny, SEEDS, demonstrations), False, recorder.add)
-    recorder.finish(run)
-    again = read(folder)
-    assert (again.config, again.seeds, again.rows) == (tiny, SEEDS, run.rows)
-    assert set(run.rows[0].metrics) <= set(METRICS)
-    obs = Streams(SEEDS).normal(5, 3)
-    assert torch.equal(again.policy.act(obs), run.policy.act(obs))
-    assert torch.equal(again.reward(obs), run.reward(obs))
-    assert (again.policy.env_id, again.reward.env_id) == (tiny.env_id, tiny.env_id)
+@pytest.fixture
+def record(folder, plan):
+    """What there is of a run after two evaluations."""
+    folder.mkdir(parents=True)
+    plan.write(folder)
+    (folder / "curve.csv").write_text(HEADER + lines(rows(100) + rows(200)))
+    return folder
 
 
-def test_without_a_learned_reward_none_is_kept(folder, tiny):
-    config = replace(tiny, reward="environment", hidden=(4,))
-    recorder = Recorder(folder, config, SEEDS)
-    recorder.finish(complete(Trainer(config, SEEDS), False, recorder.add))
-    again = read(folder)
-    assert again.config == config
-    assert again.reward is None
-    assert all(math.isnan(row.learned_return) for row in again.rows)
+def test_a_plan_comes_back_as_it_was(record, plan):
+    assert Plan.read(record) == plan
+    assert plan.seeds == SEEDS
 
 
-def test_a_run_cut_short_leaves_its_curve(unfinished, tiny):
-    run = read(unfinished.folder)
-    assert (run.config, run.rows) == (tiny, rows(100) + rows(200))
-    assert (run.policy, run.reward) == (None, None)
+def test_a_record_comes_back_as_it_was(record, tiny):
+    run = read(record)
+    assert (run.config, run.seeds, run.rows) == (tiny, SEEDS, rows(100) + rows(200))
+    assert (run.policy, run.reward, run.diverged) == (None, None, {})
     assert run.steps.tolist() == [100, 200]
     assert run.returns.tolist() == [[math.e, math.e]] * 2
 
 
-def test_the_manifest_says_what_made_the_run(unfinished):
-    def manifest():
-        return json.loads((unfinished.folder / "run.json").read_text())
-
-    assert manifest()["state"] == "running"
-    assert manifest()["versions"]["torch"] == torch.__version__
-    assert set(manifest()["versions"]) == set(records.PACKAGES)
-    actor = Policy("x", *policy_parts())
-    unfinished.finish(Run(read(unfinished.folder).config, SEEDS, [], actor))
-    assert manifest()["state"] == "finished"
-    assert not list(unfinished.folder.glob("*.part"))
+def test_what_a_run_measures_has_a_column(tiny, random_demonstrations):
+    run = train(tiny, SEEDS, random_demonstrations(tiny.env_id), progress=False)
+    assert set(run.rows[0].metrics) <= set(METRICS)
 
 
-def test_what_stopped_a_run_is_noted(folder, tiny):
-    def run():
-        with Recorder(folder, tiny, SEEDS) as recorder:
-            recorder.add(rows(100))
-            raise FloatingPointError("seed 7 diverged")
+def test_what_there_is_not_is_left_out(record, plan):
+    replace(plan, config=replace(plan.config, reward="environment")).write(record)
+    row = rows(100)[0]._replace(learned_return=math.nan, metrics={})
+    (record / "curve.csv").write_text(HEADER + lines([row]))
+    (again,) = read(record).rows
+    assert math.isnan(again.learned_return)
+    assert again.metrics == {}
 
-    with pytest.raises(FloatingPointError):
-        run()
-    state = json.loads((folder / "run.json").read_text())["state"]
-    assert state == "stopped: FloatingPointError: seed 7 diverged"
-    assert len(read(folder).rows) == 2
+
+def test_members_that_were_given_up_are_named(record):
+    shards = {"3": {"diverged": {}}, "7": {"diverged": {"7": "seed 7 diverged"}}}
+    write_json(record / "run.json", {"shards": shards})
+    assert read(record).diverged == {7: "seed 7 diverged"}
+
+
+def test_curves_are_put_together_by_step_and_seed():
+    three, seven = ([row for row in rows(100) + rows(200) if row.seed == s] for s in SEEDS)
+    curves = [HEADER + lines(part) for part in (seven, three)]
+    assert merged(curves, SEEDS) == HEADER + lines(rows(100) + rows(200))
+    assert merged(curves, SEEDS[::-1]) == HEADER + lines(rows(100)[::-1] + rows(200)[::-1])
+    # The last line is being written.
+    cut = [curves[0], curves[1][:-5]]
+    assert merged(cut, SEEDS) == HEADER + lines([*rows(100), seven[1]])
+    assert merged([], SEEDS) == HEADER
+
+
+def test_a_file_is_the_old_one_or_the_new(tmp_path):
+    path = tmp_path / "x.json"
+    write_json(path, {"a": 1})
+
+    def fail(part):
+        part.write_text("half")
+        raise OSError("the disk is full")
+
+    with pytest.raises(OSError, match="the disk is full"):
+        write_whole(path, fail)
+    assert read_json(path) == {"a": 1}
+    write_json(path, {"a": 2})
+    assert read_json(path) == {"a": 2}
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def policy_parts():
@@ -99,38 +117,42 @@ def policy_parts():
     return actor, actor.init(Streams(SEEDS)), Normaliser.identity(2, 3)
 
 
-def test_nothing_is_overwritten(unfinished, tiny):
-    with pytest.raises(FileExistsError, match="is not empty"):
-        Recorder(unfinished.folder, tiny, (0,))
-    assert len(read(unfinished.folder).rows) == 4
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("config.json", "there is no run in .*one: it has no config.json; `offairl run NAME"),
+        ("curve.csv", "no record of a run: it has no curve.csv"),
+    ],
+)
+def test_a_folder_that_is_no_record_is_refused(record, name, message):
+    (record / name).unlink()
+    with pytest.raises(FileNotFoundError, match=message):
+        read(record)
 
 
-def test_an_empty_folder_is_taken(folder, tiny):
-    folder.mkdir(parents=True)
-    Recorder(folder, tiny, SEEDS)
-    assert read(folder).rows == []
+def test_a_configuration_of_another_version_is_refused(record):
+    path = record / "config.json"
+    content = read_json(path)
+    write_json(path, {**content, "config": {**content["config"], "momentum": 0.9}})
+    with pytest.raises(ValueError, match=r"config.json does not describe a run: .*momentum"):
+        read(record)
+    write_json(path, {**content, "format": 3})
+    with pytest.raises(ValueError, match=r"config.json has format 3, and .* reads format 2"):
+        read(record)
+    # The first format had no number.
+    write_json(path, {"seeds": [0], **content["config"]})
+    with pytest.raises(ValueError, match=r"config.json has format 1, and .* reads format 2"):
+        read(record)
+    path.write_text("{")
+    with pytest.raises(ValueError, match=r"config.json is damaged: Expecting"):
+        read(record)
 
 
-@pytest.mark.parametrize("name", ["config.json", "curve.csv"])
-def test_a_folder_that_is_no_record_is_refused(unfinished, name):
-    (unfinished.folder / name).unlink()
-    with pytest.raises(FileNotFoundError, match=f"no record of a run: it has no {name}"):
-        read(unfinished.folder)
-
-
-def test_a_configuration_of_another_version_is_refused(unfinished):
-    path = unfinished.folder / "config.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "momentum": 0.9}))
-    with pytest.raises(ValueError, match=r"config.json is of another version: .*momentum"):
-        read(unfinished.folder)
-
-
-def test_a_curve_with_other_columns_is_refused(unfinished):
-    path = unfinished.folder / "curve.csv"
-    assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
+def test_a_curve_with_other_columns_is_refused(record):
+    path = record / "curve.csv"
     path.write_text(path.read_text().replace("mean_return", "reward", 1))
     with pytest.raises(ValueError, match=r"curve.csv has columns .*'reward'.*expected"):
-        read(unfinished.folder)
+        read(record)
 
 
 @pytest.mark.parametrize("kind", [Policy, Reward])

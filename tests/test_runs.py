@@ -1,14 +1,12 @@
 """Run folders: killed at random moments, resumed, extended, damaged."""
 
 import errno
-import fcntl
 import json
 import multiprocessing
 import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections import namedtuple
 from dataclasses import replace
@@ -39,7 +37,8 @@ PROCESSES.set_forkserver_preload(["offairl_lite.runs"])
 @pytest.fixture
 def plain(tiny):
     """SAC on the true reward: the fastest run there is."""
-    return replace(tiny, reward="environment")
+    config = replace(tiny, reward="environment", update_every=20, eval_episodes=1)
+    return replace(config, total_steps=100, warmup_steps=40, eval_every=50)
 
 
 @pytest.fixture
@@ -47,7 +46,7 @@ def folder(tmp_path):
     return tmp_path / "runs" / "one"
 
 
-def run(folder, config, *, seeds=SEEDS, checkpoint_every=60, **given):
+def run(folder, config, *, seeds=SEEDS, checkpoint_every=40, **given):
     """Make a run and take it to its end."""
     runs.create(folder, config, seeds, checkpoint_every=checkpoint_every, **given)
     runs.work(folder, demonstrations=given.get("demonstrations"), progress=False)
@@ -82,12 +81,12 @@ class Broken(Exception):
 
 @pytest.fixture
 def interrupted(folder, plain, monkeypatch):
-    """A run that was stopped after step 150, with a checkpoint at step 130 or so."""
-    runs.create(folder, plain, SEEDS, checkpoint_every=60)
+    """A run that was stopped at step 90, with a checkpoint at step 80."""
+    runs.create(folder, plain, SEEDS, checkpoint_every=40)
     advance = Trainer.advance
 
     def stop(self):
-        if self.steps == 150 and self.trained == 100:
+        if self.steps == 90:
             raise Broken("a stop")
         return advance(self)
 
@@ -198,7 +197,7 @@ KILLED = {
 
 @pytest.mark.parametrize("case", KILLED)
 def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, given, tmp_path):
-    config = replace(tiny, total_steps=400, **KILLED[case])
+    config = replace(tiny, total_steps=300, **KILLED[case])
     demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
     rng = np.random.default_rng(list(KILLED).index(case))
 
@@ -233,10 +232,10 @@ def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, give
     "moment", ["half a checkpoint", "before the swap", "after the swap", "in a row"]
 )
 def test_a_run_that_is_killed_at_the_worst_moments_is_the_same_run(moment, plain, tmp_path):
-    config = replace(plain, eval_every=50)
+    config = replace(plain, eval_every=25)
     whole = run(tmp_path / "whole", config)
     folder = tmp_path / "killed"
-    runs.create(folder, config, SEEDS, checkpoint_every=60)
+    runs.create(folder, config, SEEDS, checkpoint_every=40)
     for times in (1, 2):
         process = start(folder, None, moment, times)
         process.join()
@@ -244,3 +243,378 @@ def test_a_run_that_is_killed_at_the_worst_moments_is_the_same_run(moment, plain
         assert records.read(folder).seeds == SEEDS
     finish(folder, None)
     assert_same(folder, whole)
+
+
+def test_a_run_that_is_killed_before_it_exists_leaves_nothing(folder, plain, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", stop)
+    with pytest.raises(KeyboardInterrupt):
+        runs.create(folder, plain, SEEDS)
+    assert list(folder.parent.iterdir()) == []
+    with pytest.raises(FileNotFoundError, match=r"no run in .*one: .*`offairl run NAME"):
+        resume(folder)
+
+
+def test_what_stops_a_run_is_noted_and_the_record_can_be_read(interrupted, folder, plain):
+    assert manifest(folder)["state"] == "stopped: Broken: a stop"
+    assert manifest(folder)["shards"]["3-7"]["step"] == 80
+    run = records.read(folder)
+    assert (run.config, run.seeds, run.steps.tolist()) == (plain, SEEDS, [50])
+    assert (run.policy, run.reward) == (None, None)
+
+
+def test_a_record_can_be_read_at_any_time(folder, plain, monkeypatch):
+    advance, seen = Trainer.advance, set()
+
+    def advance_and_read(self):
+        seen.add(len(records.read(folder).rows))
+        return advance(self)
+
+    monkeypatch.setattr(Trainer, "advance", advance_and_read)
+    run(folder, plain)
+    assert seen == {0, 2}
+
+
+def test_the_manifest_says_what_made_the_run(interrupted, folder):
+    first = manifest(folder)
+    assert first["versions"]["torch"] == torch.__version__
+    assert set(first["versions"]) == set(runs.PACKAGES)
+    assert first["processor"]
+    assert (first["threads"], first["cores"]) == (1, os.cpu_count())
+    commit = subprocess.run(
+        ["git", "-C", Path(runs.__file__).parent, "rev-parse", "HEAD"], capture_output=True
+    ).stdout.decode()
+    assert (first["commit"] or "")[:40] == commit.strip()
+    resume(folder)
+    last = manifest(folder)
+    assert (last["state"], last["started"]) == ("finished", first["started"])
+    # Time lost after the checkpoint does not count.
+    assert last["wall_s"] > 0
+
+
+# Extensions.
+
+
+@pytest.mark.parametrize("replay_size", [1_000_000, 60])
+def test_an_extended_run_is_the_longer_run(replay_size, plain, tmp_path):
+    config = replace(plain, replay_size=replay_size)
+    whole = run(tmp_path / "whole", replace(config, total_steps=200))
+    folder = run(tmp_path / "extended", config)
+    runs.extend(folder, 200)
+    resume(folder)
+    assert records.read(folder).config.total_steps == 200
+    assert_same(folder, whole)
+
+
+def test_seeds_are_added_beside_those_there(plain, tmp_path):
+    alone = run(tmp_path / "alone", plain, seeds=(5, 6))
+    first = run(tmp_path / "first", plain)
+    folder = shutil.copytree(first, tmp_path / "extended")
+    before = files(folder / "members" / "3-7")
+    runs.add_seeds(folder, (5, 6))
+    assert records.read(folder).policy is None
+    resume(folder)
+    assert {path: path.read_bytes() for path in before} == before
+    split = run(tmp_path / "split", plain, seeds=(3, 7, 5, 6), shards=2)
+    assert_same(folder, split)
+    both, parts = records.read(folder), [records.read(part) for part in (first, alone)]
+    assert both.seeds == (3, 7, 5, 6)
+    np.testing.assert_array_equal(both.returns, np.concatenate([part.returns for part in parts]))
+    obs = Streams(both.seeds).normal(5, 3)
+    acts = [part.policy.act(obs[i : i + 2]) for i, part in zip((0, 2), parts, strict=True)]
+    assert torch.equal(both.policy.act(obs), torch.cat(acts))
+    order = [(row.step, row.seed) for row in both.rows]
+    assert order == [(step, seed) for step in (50, 100) for seed in both.seeds]
+
+
+def test_a_shard_can_be_worked_on_alone(plain, folder):
+    runs.create(folder, plain, (3, 7, 5), shards=2)
+    with pytest.raises(ValueError, match=r"no members \[7\] of their own; there are: 3 7, 5"):
+        runs.work(folder, (7,))
+    runs.work(folder, (5,), progress=False)
+    assert manifest(folder)["state"] == "running"
+    assert runs.unfinished(folder) == [(3, 7)]
+    assert {row.seed for row in records.read(folder).rows} == {5}
+    resume(folder)
+    assert manifest(folder)["state"] == "finished"
+    assert len(records.read(folder).policy) == 3
+
+
+def test_a_run_that_has_ended_is_left_as_it_is(plain, folder):
+    run(folder, plain)
+    before = files(folder)
+    resume(folder)
+    assert files(folder) == before
+
+
+def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
+    before = files(folder)
+    with pytest.raises(ValueError, match="reached step 80; it cannot end at 70"):
+        runs.extend(folder, 70)
+    with pytest.raises(ValueError, match=r"seeds \[7\] are not all new: there are \[3, 7\]"):
+        runs.add_seeds(folder, (7,))
+    with pytest.raises(ValueError, match=r"not all new"):
+        runs.add_seeds(folder, (8, 8))
+    assert files(folder) == before
+
+
+def frozen_reward(members):
+    net = StackedMLP((3, 4, 1), "tanh")
+    params = net.init(Streams(range(members)))
+    return Reward(MAZE, net, True, params, Normaliser.identity(members, 3))
+
+
+def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
+    config, reward = replace(plain, reward="frozen"), frozen_reward(3)
+    folder = tmp_path / "run"
+    runs.create(folder, config, (3, 7, 5), reward=reward, shards=2, checkpoint_every=40)
+    resume(folder)
+    assert torch.equal(records.read(folder).reward.params, reward.params)
+    with pytest.raises(ValueError, match="frozen reward, which has 3 members"):
+        runs.add_seeds(folder, (8,))
+    runs.extend(folder, 200)
+    replace(reward, params=reward.params + 1).save(folder / "frozen.safetensors")
+    with pytest.raises(ValueError, match=r"of another run than .*: frozen was .* put back"):
+        resume(folder)
+
+
+# Damage.
+
+
+def edit(path, **changes):
+    """Change fields of a JSON file; `a__b` is field b of a."""
+    content = json.loads(path.read_text())
+    for name, value in changes.items():
+        *outer, last = name.split("__")
+        place = content
+        for key in outer:
+            place = place[key]
+        place[last] = value
+    path.write_text(json.dumps(content))
+
+
+def refused(folder, message, kind=ValueError):
+    """A run is not resumed, says why, and nothing is changed."""
+    before = files(folder)
+    with pytest.raises(kind, match=message):
+        resume(folder)
+    assert files(folder) == before
+
+
+def test_any_damaged_byte_of_a_checkpoint_is_noticed(interrupted, folder):
+    path = folder / "members" / "3-7" / "checkpoint.safetensors"
+    sound, rng = path.read_bytes(), np.random.default_rng(0)
+    header = 8 + int.from_bytes(sound[:8], "little")
+    places = [0, 3, 8, header - 1, header, len(sound) - 1]
+    places += [*rng.integers(8, header, 20), *rng.integers(header, len(sound), 20)]
+    for place in places:
+        damaged = bytearray(sound)
+        damaged[place] ^= 1 << rng.integers(7)
+        if damaged[place] in b" \t\n\r" and sound[place] in b" \t\n\r":
+            continue
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"checkpoint.safetensors (is damaged|has format)"):
+            resume(folder)
+    for length in (0, 5, header - 3, header + 3, len(sound) - 1):
+        path.write_bytes(sound[:length])
+        refused(folder, "checkpoint.safetensors is damaged: .*; bring all of")
+    shutil.copy(folder / "members" / "3-7" / "curve.csv", path)
+    refused(folder, "checkpoint.safetensors is damaged")
+    path.write_bytes(sound)
+    resume(folder)
+    assert manifest(folder)["state"] == "finished"
+
+
+def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_path):
+    other = tmp_path / "other"
+    for config, seeds, message in [
+        (replace(plain, discount=0.5), SEEDS, "of another run than .*: discount was 0.5, is 0.99;"),
+        (plain, (4, 5), r"seeds was \[4, 5\], is \[3, 7\]; put back"),
+        (replace(plain, total_steps=200), SEEDS, "replay.f32 is damaged: it had"),
+        (plain, SEEDS, "replay.f32 is damaged: it is not as it was at the checkpoint"),
+    ]:
+        run(other, config, seeds=seeds)
+        (home,) = (other / "members").glob("*-*")
+        for name in ("checkpoint.safetensors", "curve.csv"):
+            shutil.copy(home / name, folder / "members" / "3-7")
+        refused(folder, message)
+        shutil.rmtree(other)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"config__discount": 0.9}, "discount was 0.99, is 0.9; put back what was changed"),
+        ({"config__hidden": [8]}, r"hidden was \[16, 16\], is \[8\]"),
+        ({"config__total_steps": 70}, "reached step 80, and its total_steps is 70: .*--steps N"),
+        ({"config__discount": 2}, "config.json does not describe a run: discount is 2"),
+        ({"config__momentum": 2}, "config.json does not describe a run: .*momentum"),
+        ({"execution__threads": 2}, "threads was 1, is 2"),
+        ({"checkpoint_every": 70}, "checkpoint_every was 40, is 70"),
+        ({"shards": [[3, 8]]}, r"has lost the shards \['3-7'\]"),
+        ({"format": 1}, "config.json has format 1, .* reads format 2: use the version"),
+    ],
+)
+def test_a_changed_configuration_is_refused(interrupted, folder, change, message):
+    edit(folder / "config.json", **change)
+    refused(folder, message)
+
+
+def test_a_checkpoint_of_an_older_format_is_refused(interrupted, folder):
+    path = folder / "members" / "3-7" / "checkpoint.safetensors"
+    state, about = networks.load_weights(path, "checkpoint")
+    networks.save_weights(path, state, {**about, "format": 1})
+    refused(folder, "checkpoint.safetensors has format 1, .* reads format 2: use the version")
+
+
+def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
+    home = folder / "members" / "3-7"
+    for name in ("replay.f32", "curve.csv"):
+        content = (home / name).read_bytes()
+        (home / name).write_bytes(content[:100])
+        refused(folder, f"{name} is damaged: it had .* bytes, and has 100; bring")
+        (home / name).unlink()
+        refused(folder, f"{name} is damaged: .* has 0;")
+        (home / name).write_bytes(bytes(len(content)) if name == "replay.f32" else content)
+        if name == "replay.f32":
+            refused(folder, "replay.f32 is damaged: it is not as it was")
+            (home / name).write_bytes(content)
+    (home / "checkpoint.safetensors").unlink()
+    refused(folder, "checkpoint.safetensors is gone, and .* step 80", FileNotFoundError)
+    # As it is where a record was copied without it.
+    shutil.rmtree(folder / "members")
+    refused(folder, "checkpoint.safetensors is gone", FileNotFoundError)
+    with pytest.raises(FileNotFoundError, match="is gone"):
+        runs.extend(folder, 200)
+    assert not (folder / "members").exists()
+
+
+def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonstrations):
+    runs.create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
+    with pytest.raises(ValueError, match="3 trajectories of the shipped experts are not those"):
+        runs.work(folder, demonstrations=random_demonstrations(MAZE, 3))
+
+
+def test_nothing_is_overwritten(interrupted, folder, plain):
+    before = files(folder)
+    with pytest.raises(FileExistsError, match=r"not empty: `offairl resume .*one` goes on"):
+        runs.create(folder, plain, (0,))
+    assert files(folder) == before
+
+
+def test_two_processes_do_not_share_a_shard(folder, plain):
+    runs.create(folder, replace(plain, total_steps=100_000), SEEDS)
+    process = start(folder, None, None, 0)
+    while manifest(folder)["state"] != "running":
+        time.sleep(0.01)
+    for attempt in (
+        lambda: resume(folder),
+        lambda: runs.extend(folder, 200),
+        lambda: runs.add_seeds(folder, (8,)),
+    ):
+        with pytest.raises(OSError, match=r"another process is at work on .*3-7: let it finish"):
+            attempt()
+    process.kill()
+    process.join()
+    runs.extend(folder, 200)
+    resume(folder)
+    assert records.read(folder).steps[-1] == 200
+
+
+def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
+    usage = namedtuple("Usage", "total used free")(10**9, 10**9 - 10**5, 10**5)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: usage)
+        with pytest.raises(OSError, match=r"needs .* MB of disk.* has 0.1 MB left: lower replay_s"):
+            runs.create(folder, plain, SEEDS)
+    assert not folder.parent.exists()
+    run(folder, plain)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda _: usage)
+        with pytest.raises(OSError, match=r"needs .* MB of disk"):
+            runs.extend(folder, 100_000)
+        with pytest.raises(OSError, match=r"needs .* MB of disk"):
+            runs.add_seeds(folder, tuple(range(10, 40)))
+    assert records.read(folder).config == plain
+
+
+@pytest.mark.parametrize("name", ["save_weights", "lines", "merged"])
+def test_a_full_disk_loses_nothing(name, folder, plain, tmp_path, monkeypatch):
+    whole = run(tmp_path / "whole", plain)
+    runs.create(folder, plain, SEEDS, checkpoint_every=40)
+    original, calls = getattr(runs, name), iter(range(100))
+
+    def write(*args):
+        if next(calls) == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return original(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, name, write)
+        message = r"the disk of .*one is full: free .* MB, and `offairl resume .*one` goes on"
+        with pytest.raises(OSError, match=message):
+            resume(folder)
+    resume(folder)
+    assert_same(folder, whole)
+
+
+@pytest.mark.parametrize("case", KILLED)
+def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
+    config = replace(tiny, **KILLED[case])
+    demonstrations = given(config.env_id)[0] if config.learns_reward else None
+    run(folder, config, demonstrations=demonstrations)
+    # While it is written, a second checkpoint is there.
+    checkpoint = folder / "members" / "3-7" / "checkpoint.safetensors"
+    used = runs._used(folder) + checkpoint.stat().st_size
+    foreseen = runs.disk_use(records.Plan.read(folder))
+    assert 0.3 * foreseen < used < foreseen + 50_000
+
+
+# Divergence.
+
+
+def diverging(*members):
+    """SAC whose critics of some members turn infinite at update 70."""
+    original = SAC.update
+
+    def update(self, *batch):
+        if self.updates == 70:
+            for member in members:
+                self.critic_params.data[:, member] = torch.inf
+        return original(self, *batch)
+
+    return update
+
+
+def test_a_member_that_diverges_is_given_up_alone(folder, plain, monkeypatch):
+    monkeypatch.setattr(SAC, "update", diverging(1))
+    runs.create(folder, replace(plain, total_steps=150), SEEDS, checkpoint_every=40)
+    with pytest.warns(UserWarning, match="seed 7 diverged by step 80"):
+        resume(folder)
+    run = records.read(folder)
+    assert [(row.seed, row.step) for row in run.rows] == [(3, 50), (7, 50), (3, 100), (3, 150)]
+    assert list(run.diverged) == [7]
+    assert run.diverged[7].startswith("seed 7 diverged by step 80: its ")
+    assert manifest(folder)["state"] == "finished"
+    # It is remembered.
+    runs.extend(folder, 200)
+    resume(folder)
+    assert list(records.read(folder).diverged) == [7]
+    assert len(records.read(folder).rows) == 5
+
+
+@pytest.mark.filterwarnings("ignore:seed . diverged")
+def test_a_shard_that_diverges_leaves_the_others_alone(folder, plain, monkeypatch):
+    monkeypatch.setattr(SAC, "update", diverging(0))
+    runs.create(folder, plain, SEEDS, shards=2, checkpoint_every=40)
+    resume(folder)
+    assert manifest(folder)["state"] == "stopped: every member has diverged"
+    assert list(records.read(folder).diverged) == [3, 7]
+    monkeypatch.undo()
+    runs.add_seeds(folder, (5,))
+    resume(folder)
+    assert manifest(folder)["state"] == "finished"
+    assert [(r.seed, r.step) for r in records.read(folder).rows[2:]] == [(5, 50), (5, 100)]
+    assert len(records.read(folder).policy) == 3
