@@ -1,10 +1,7 @@
 """The command line: `offairl list`, `run`, `resume`, `demos`, `watch`."""
 
 import os
-import signal
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -14,10 +11,10 @@ import gymnasium
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, records, runs, scale, video
+from offairl_lite import demonstrations, jobs, records, runs, scale, sweep, video
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
-from offairl_lite.execution import Execution, compiler
+from offairl_lite.execution import Execution, compiles, is_large
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
@@ -129,21 +126,18 @@ def _run_command(name: str, size: Scale):
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset)
-        # With networks this small, what counts is the number of calls: one process makes fewest.
-        large = max(config.hidden, default=0) > 128
         if processes is None:
-            processes = min(os.cpu_count() or 1, len(seeds)) if large and device == "cpu" else 1
+            one_a_core = is_large(config) and device == "cpu"
+            processes = min(os.cpu_count() or 1, len(seeds)) if one_a_core else 1
         if processes < 1:
             raise ValueError(f"processes is {processes}; expected at least 1")
-        if compile == "auto":
-            long = large and config.total_steps >= 50_000
-            compile = "yes" if long and compiler() is not None else "no"
+        execution = Execution(device, threads, compiles(config, compile))
         folder = out or Path("runs") / f"{experiment}-{scale}"
         needed = runs.create(
             folder,
             config,
             seeds,
-            execution=Execution(device, threads, compile == "yes"),
+            execution=execution,
             demonstrations=data,
             dataset=dataset,
             reward=reward,
@@ -151,7 +145,7 @@ def _run_command(name: str, size: Scale):
             scale=scale,
             shards=processes,
         )
-        updates = "compiled" if compile == "yes" else "not compiled"
+        updates = "compiled" if execution.compile else "not compiled"
         print(
             f"{folder} takes up to {needed} of disk, mostly replay; processes: {processes}, "
             f"updates: {updates}"
@@ -194,7 +188,13 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
     shards = runs.unfinished(folder)
     try:
         if processes > 1 and len(shards) > 1:
-            _spread(folder, shards, processes)
+            todo = [job for job in jobs.of(folder) if job.members in shards]
+            if failures := jobs.execute(todo, workers=processes):
+                print(*failures, sep="\n\n", file=sys.stderr)
+                raise ChildProcessError(
+                    f"{len(failures)} of {len(todo)} shards failed, twice: see above; "
+                    f"`offairl resume {folder}` goes on with them"
+                )
         runs.work(folder, demonstrations=data)
     except KeyboardInterrupt:
         sys.exit(f"offairl: stopped; `offairl resume {folder}` goes on")
@@ -205,42 +205,6 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
     print(f"recorded in {folder}")
     if run.diverged:
         raise FloatingPointError("; ".join(run.diverged.values()))
-
-
-def _spread(folder: Path, shards: Sequence[tuple[int, ...]], processes: int) -> None:
-    """Work on several shards at once, each in a process of its own.
-
-    Raises:
-        ChildProcessError: some failed, which the others did not mind; says how.
-    """
-    waiting, running, failures = list(shards), {}, []
-    print(f"{len(shards)} shards, their output in {folder}/members/*/log.txt")
-    try:
-        while waiting or running:
-            while waiting and len(running) < processes:
-                home = runs.home(folder, waiting[0])
-                home.mkdir(parents=True, exist_ok=True)
-                members = ["--members", *map(str, waiting.pop(0))]
-                command = [sys.executable, "-m", "offairl_lite.cli", "resume", folder, *members]
-                with open(home / "log.txt", "wb") as log:
-                    running[home] = subprocess.Popen(command, stdout=log, stderr=log)
-            time.sleep(0.1)
-            for home, process in list(running.items()):
-                if process.poll() is not None:
-                    del running[home]
-                if process.returncode:
-                    last = (home / "log.txt").read_text().strip().splitlines()[-1:]
-                    failures.append(f"{home}/log.txt ends with {last} ({process.returncode})")
-    finally:
-        if running:
-            # A terminal's Ctrl-C reaches them as well; twice would disturb what they note down.
-            time.sleep(1)
-        for process in running.values():
-            process.send_signal(signal.SIGINT)
-        for process in running.values():
-            process.wait()
-    if failures:
-        raise ChildProcessError(f"{'; '.join(failures)}; `offairl resume {folder}` goes on")
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -255,6 +219,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "list": list_experiments,
             "run": _run_command(name, size),
             "resume": resume,
+            "sweep": sweep.subcommand(name, size, runs.create),
             "demos": demos,
             "watch": watch,
         }

@@ -9,10 +9,12 @@ for runs longer than the minute that compiling takes. On a GPU a captured graph 
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
+
+from offairl_lite.config import Config
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,21 @@ class Execution:
             torch._dynamo.config.accumulated_recompile_limit = 1_000
             step = torch.compile(step, fullgraph=True, dynamic=False)
         return step if self.device == "cpu" else CudaGraphed(step)
+
+
+def is_large(config: Config) -> bool:
+    """Return whether networks are so large that the time goes to arithmetic, not to calls.
+
+    Members then gain little from being in one population, and more from a core each.
+    """
+    return max(config.hidden, default=0) > 128
+
+
+def compiles(config: Config, choice: Literal["auto", "yes", "no"]) -> bool:
+    """Return whether a run is to be compiled; `auto` compiles long runs of large networks."""
+    if choice == "auto":
+        return is_large(config) and config.total_steps >= 50_000 and compiler() is not None
+    return choice == "yes"
 
 
 def compiler() -> str | None:

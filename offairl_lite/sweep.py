@@ -15,7 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from offairl_lite import demonstrations, jobs
 from offairl_lite.config import Config, differences
 from offairl_lite.discriminators import Reward
-from offairl_lite.execution import Execution, compiler
+from offairl_lite.execution import Execution, compiles
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.scale import Scale
 
@@ -142,7 +142,7 @@ def subcommand(
                 folder / name,
                 point,
                 seeds,
-                execution=Execution(device, compile=_compiles(point, compile)),
+                execution=Execution(device, compile=compiles(point, compile)),
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
                 reward=Reward.load(frozen) if point.reward == "frozen" else None,
@@ -185,12 +185,6 @@ def _points(config: Config, axes: Sequence[str]) -> dict[str, Config]:
             raise ValueError(f"--grid {axis}: expected FIELD=VALUE,VALUE, and each field once")
         values[name] = texts.split(",")
     return grid(config, **values)
-
-
-def _compiles(config: Config, choice: str) -> bool:
-    # Compiling takes a minute, and is for networks that are not all overhead.
-    long = max(config.hidden, default=0) > 128 and config.total_steps >= 50_000
-    return choice == "yes" or (choice == "auto" and long and compiler() is not None)
 
 
 def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
