@@ -179,7 +179,7 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
         patch.setattr(Trainer, "advance", stop)
         line = f"run imitate --out mine {task} {SMALL}"
         assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
-    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: "
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt()"
     assert [row.step for row in read(elsewhere / "mine").rows] == [100, 100]
     offairl("resume mine")
     for name in ("curve.csv", "policy.safetensors", "reward.safetensors"):
@@ -254,7 +254,7 @@ def test_ctrl_c_stops_all_processes(elsewhere):
     assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
     assert parent.returncode == 1
     states = [shard["state"] for shard in manifest(elsewhere / "both")["shards"].values()]
-    assert states == ["stopped: KeyboardInterrupt: "] * 2
+    assert states == ["stopped: KeyboardInterrupt()"] * 2
     # Nobody holds the locks.
     runs.extend(elsewhere / "both", 2_000_000)
 
