@@ -51,6 +51,7 @@ from offairl_lite.records import (
     write_whole,
 )
 from offairl_lite.replay import Replay
+from offairl_lite.streams import Streams
 
 CHECKPOINT_EVERY = 2_000
 """Steps and updates, together, between checkpoints."""
@@ -167,8 +168,8 @@ def work(
     if seeds is not None and tuple(seeds) not in plan.shards:
         known = ", ".join(" ".join(map(str, shard)) for shard in plan.shards)
         raise ValueError(f"{folder} has no members {list(seeds)} of their own; there are: {known}")
-    left = [s for s in unfinished(folder) if seeds is None or s == tuple(seeds)]
-    reached = _reached(folder, plan)
+    shards = plan.shards if seeds is None else (tuple(seeds),)
+    left, reached = unfinished(folder, shards), _reached(folder, plan, shards)
     if reached > plan.config.total_steps:
         raise ValueError(
             f"{folder} has reached step {reached}, and its total_steps is "
@@ -191,8 +192,10 @@ def work(
     _publish(folder)
 
 
-def unfinished(folder: Path) -> list[tuple[int, ...]]:
-    """Return the seeds of each shard that is not at its end.
+def unfinished(
+    folder: Path, shards: Sequence[tuple[int, ...]] | None = None
+) -> list[tuple[int, ...]]:
+    """Return the seeds of each shard, of all or of some, that is not at its end.
 
     Raises:
         FileNotFoundError: there is no such run, or its checkpoint is gone.
@@ -205,7 +208,7 @@ def unfinished(folder: Path) -> list[tuple[int, ...]]:
             f"{folder}/config.json has lost the shards {sorted(lost)}, which the run has: put "
             "their seeds back"
         )
-    for shard in plan.shards:
+    for shard in plan.shards if shards is None else shards:
         found = _load(folder, plan, shard)
         whole = found and found[1]["finished"] and found[1]["steps"] >= plan.config.total_steps
         kept = (home(folder, shard) / "policy.safetensors").is_file()
@@ -222,7 +225,7 @@ def extend(folder: Path, steps: int) -> None:
         OSError: a process is at work on it, or the disk has no room.
     """
     with _alone(folder) as plan:
-        reached = _reached(folder, plan)
+        reached = _reached(folder, plan, plan.shards)
         if steps < reached:
             raise ValueError(f"{folder} has reached step {reached}; it cannot end at {steps}")
         _change(folder, replace(plan, config=replace(plan.config, total_steps=steps)))
@@ -241,7 +244,8 @@ def add_seeds(folder: Path, seeds: Sequence[int]) -> None:
                 f"{folder} is paid by a frozen reward, which has {len(plan.seeds)} members and "
                 "none for further seeds: start a run of its own with --frozen"
             )
-        if len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
+        Streams(seeds)  # It refuses what cannot be a seed.
+        if not seeds or len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
             raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(plan.seeds)}")
         _change(folder, replace(plan, shards=(*plan.shards, tuple(seeds))))
 
@@ -290,7 +294,8 @@ class _Worker:
                 self._note(state)
             except BaseException as error:
                 with suppress(OSError):
-                    self._note(f"stopped: {type(error).__name__}: {error}")
+                    why = f"{type(error).__name__}: {error}" if str(error) else repr(error)
+                    self._note(f"stopped: {why}")
                 raise
 
     def _begin(self, demonstrations: Demonstrations | None, execution: Execution) -> None:
@@ -374,8 +379,7 @@ def _publish(
         curve = merged((path.read_text() for path in paths if path.is_file()), plan.seeds)
         write_whole(folder / "curve.csv", lambda part: part.write_text(curve))
         shards = [about["shards"].get(place.name, NEW) for place in homes]
-        states = [status["state"] for status in shards]
-        about["state"] = next((s for s in states if s.startswith("stopped")), "running")
+        states = [_state(status, plan.config.total_steps) for status in shards]
         ended = set(states) <= {"finished", "diverged"}
         for name, kind in (("policy", Policy), ("reward", Reward)):
             path = folder / f"{name}.safetensors"
@@ -386,11 +390,24 @@ def _publish(
                 whole = _together([kind.load(part) for part in parts])
                 notes = {"seeds": plan.seeds} if name == "policy" else {}
                 write_whole(path, lambda part, whole=whole, notes=notes: whole.save(part, **notes))
-        if ended:
-            lost = "finished" not in states
-            about["state"] = "stopped: every member has diverged" if lost else "finished"
+        about["state"] = _summary(states)
         about["wall_s"] = round(sum(status["wall_s"] for status in shards), 1)
         write_json(folder / "run.json", about)
+
+
+def _state(status: dict[str, Any], total_steps: int) -> str:
+    """Return how a shard is; what was the end before the run was extended no longer is."""
+    extended = status["state"] == "finished" and status["step"] < total_steps
+    return "waiting" if extended else status["state"]
+
+
+def _summary(states: list[str]) -> str:
+    """Return how a run is, from how its shards are."""
+    for kind in ("stopped", "running", "waiting", "finished"):
+        for state in states:
+            if state.startswith(kind):
+                return state
+    return "stopped: every member has diverged"
 
 
 def _together(parts: list) -> Any:
@@ -436,9 +453,9 @@ def _load(
     return state, about
 
 
-def _reached(folder: Path, plan: Plan) -> int:
-    """Return the last step from which a shard can go on."""
-    return max(found[1]["steps"] if (found := _load(folder, plan, s)) else 0 for s in plan.shards)
+def _reached(folder: Path, plan: Plan, shards: Sequence[tuple[int, ...]]) -> int:
+    """Return the last step from which one of some shards can go on."""
+    return max(found[1]["steps"] if (found := _load(folder, plan, s)) else 0 for s in shards)
 
 
 def _damaged(path: Path, why: object) -> str:

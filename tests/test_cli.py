@@ -179,7 +179,7 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
         patch.setattr(Trainer, "advance", stop)
         line = f"run imitate --out mine {task} {SMALL}"
         assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
-    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: "
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt()"
     assert [row.step for row in read(elsewhere / "mine").rows] == [100, 100]
     offairl("resume mine")
     for name in ("curve.csv", "policy.safetensors", "reward.safetensors"):
@@ -221,7 +221,6 @@ def test_processes_share_the_members(capsys, elsewhere):
     offairl(f"run maze-expert --out both {SMALL} --processes 2")
     out = capsys.readouterr().out
     assert "processes: 2" in out
-    assert "2 shards, their output in both/members/*/log.txt" in out
     run = read(elsewhere / "both")
     assert (len(run.policy), run.returns.shape) == (2, (2, 2))
     assert Plan.read(elsewhere / "both").shards == ((0,), (1,))
@@ -238,9 +237,11 @@ def test_a_process_that_fails_is_told_of(capsys, elsewhere, monkeypatch):
     shards = [(0,), (1,)]
     monkeypatch.setattr(runs, "unfinished", lambda _: shards)
     message = failure("resume both --processes 2", capsys)
-    assert message.endswith("`offairl resume both` goes on")
-    assert "members/0/log.txt ends with ['offairl: " in message
-    assert "replay.f32 is damaged" in message
+    assert message.endswith(
+        "1 of 2 shards failed, twice: see above; `offairl resume both` goes on with them"
+    )
+    log = (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
+    assert log.count("replay.f32 is damaged") == 2
 
 
 def test_ctrl_c_stops_all_processes(elsewhere):
@@ -254,7 +255,7 @@ def test_ctrl_c_stops_all_processes(elsewhere):
     assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
     assert parent.returncode == 1
     states = [shard["state"] for shard in manifest(elsewhere / "both")["shards"].values()]
-    assert states == ["stopped: KeyboardInterrupt: "] * 2
+    assert states == ["stopped: KeyboardInterrupt()"] * 2
     # Nobody holds the locks.
     runs.extend(elsewhere / "both", 2_000_000)
 
@@ -275,7 +276,6 @@ def test_large_networks_are_compiled_and_spread(
     def create(*_, execution, shards, **__):
         raise ValueError(f"{shards} {execution.compile} {execution.device} {execution.threads}")
 
-    monkeypatch.setattr(cli, "compiler", lambda: compiler)
     monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
     monkeypatch.setattr(cli.os, "cpu_count", lambda: 4)
     monkeypatch.setattr(runs, "create", create)

@@ -303,6 +303,7 @@ def test_an_extended_run_is_the_longer_run(replay_size, plain, tmp_path):
     whole = run(tmp_path / "whole", replace(config, total_steps=200))
     folder = run(tmp_path / "extended", config)
     runs.extend(folder, 200)
+    assert manifest(folder)["state"] == "waiting"
     resume(folder)
     assert records.read(folder).config.total_steps == 200
     assert_same(folder, whole)
@@ -334,7 +335,7 @@ def test_a_shard_can_be_worked_on_alone(plain, folder):
     with pytest.raises(ValueError, match=r"no members \[7\] of their own; there are: 3 7, 5"):
         runs.work(folder, (7,))
     runs.work(folder, (5,), progress=False)
-    assert manifest(folder)["state"] == "running"
+    assert manifest(folder)["state"] == "waiting"
     assert runs.unfinished(folder) == [(3, 7)]
     assert {row.seed for row in records.read(folder).rows} == {5}
     resume(folder)
@@ -355,8 +356,11 @@ def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
         runs.extend(folder, 70)
     with pytest.raises(ValueError, match=r"seeds \[7\] are not all new: there are \[3, 7\]"):
         runs.add_seeds(folder, (7,))
-    with pytest.raises(ValueError, match=r"not all new"):
-        runs.add_seeds(folder, (8, 8))
+    for seeds in ((8, 8), ()):
+        with pytest.raises(ValueError, match=r"not all new"):
+            runs.add_seeds(folder, seeds)
+    with pytest.raises(ValueError, match="non-negative"):
+        runs.add_seeds(folder, (-1,))
     assert files(folder) == before
 
 

@@ -205,7 +205,7 @@ def test_members_that_diverged_are_named(offairl, capsys):
 def test_long_runs_of_large_networks_are_compiled(
     choice, hidden, steps, compiler, expected, offairl, monkeypatch
 ):
-    monkeypatch.setattr(sweep, "compiler", lambda: compiler)
+    monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
     monkeypatch.setattr(sweep, "Execution", lambda device, compile: compile)
     line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
     ((_, given),) = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
