@@ -1,9 +1,10 @@
-"""The command line: `offairl list`, `run`, `resume`, `demos`, `watch`."""
+"""The command line: `offairl list`, `run`, `resume`, `sweep`, `demos`, `watch`, `bench`."""
 
 import os
 import sys
 from collections.abc import Sequence
 from itertools import pairwise
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +13,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
 from offairl_lite import demonstrations, jobs, records, runs, scale, sweep, video
+from offairl_lite.bench import Options, measure, table
 from offairl_lite.config import Config
 from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution, compiles, is_large
@@ -76,6 +78,17 @@ def watch(
     pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
     out.write_bytes(video.mp4(pictures))
     print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+
+
+def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
+    """Measure how fast this machine trains, beside what is aimed at: five to ten minutes.
+
+    Args:
+        options: what to measure.
+        json: print numbers for a program instead of a table.
+    """
+    report = measure(options)
+    print(dumps(report, indent=2) if json else table(report))
 
 
 def _run_command(name: str, size: Scale):
@@ -222,6 +235,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "sweep": sweep.subcommand(name, size, runs.create),
             "demos": demos,
             "watch": watch,
+            "bench": bench,
         }
         tyro.extras.subcommand_cli_from_dict(
             commands, prog="offairl", description=main.__doc__, args=args

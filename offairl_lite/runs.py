@@ -608,14 +608,14 @@ def _origin(execution: Execution) -> dict[str, Any]:
         "wall_s": 0.0,
         "versions": {name: version(name) for name in PACKAGES},
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": execution.threads,
         "commit": _commit(),
     }
 
 
-def _processor() -> str:
+def processor() -> str:
     """Return the processor's name, which only Linux keeps in a file."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
