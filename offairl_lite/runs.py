@@ -22,6 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -263,16 +264,14 @@ class _Worker:
         self.folder, self.plan, self.shard = folder, plan, shard
         self.home = home(folder, shard)
         self.curve, self.replay = self.home / "curve.csv", self.home / "replay.f32"
+        self.identity = _identity(folder, plan, shard)
         self.trainer: Trainer | None = None
-        self.saved = 0  # Steps and updates at the last checkpoint,
-        self.step = 0  # and steps.
+        # Steps at the last checkpoint, and steps and updates.
+        self.step, self.saved = 0, 0
         self.start = time.monotonic()
 
     def work(
-        self,
-        demonstrations: Demonstrations | None,
-        execution: Execution,
-        progress: bool,
+        self, demonstrations: Demonstrations | None, execution: Execution, progress: bool
     ) -> None:
         """Go from the last checkpoint to the end."""
         self.home.mkdir(parents=True, exist_ok=True)
@@ -345,7 +344,7 @@ class _Worker:
         about = {
             "kind": "checkpoint",
             "format": FORMAT,
-            "identity": _identity(self.folder, self.plan, self.shard),
+            "identity": self.identity,
             "steps": self.trainer.steps,
             "finished": self.trainer.finished,
             "curve.csv": self.curve.stat().st_size,
@@ -387,9 +386,8 @@ def _publish(
             if not ended:
                 path.unlink(missing_ok=True)
             elif all(part.is_file() for part in parts):
-                whole = _together([kind.load(part) for part in parts])
-                notes = {"seeds": plan.seeds} if name == "policy" else {}
-                write_whole(path, lambda part, whole=whole, notes=notes: whole.save(part, **notes))
+                notes = {"seeds": plan.seeds} if kind is Policy else {}
+                write_whole(path, partial(_together(list(map(kind.load, parts))).save, **notes))
         about["state"] = _summary(states)
         about["wall_s"] = round(sum(status["wall_s"] for status in shards), 1)
         write_json(folder / "run.json", about)
@@ -496,8 +494,10 @@ def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) 
 
 
 def _ends(replay: Replay) -> str:
-    """Return the SHA-256 of each member's oldest and newest row: it tells one replay from others,
-    and from itself at another time."""
+    """Return the SHA-256 of each member's oldest and newest row.
+
+    It tells one replay from others, and from itself at another time.
+    """
     last = replay.added - 1
     first = replay.added - torch.tensor(replay.sizes)
     rows = replay.rows[torch.stack([first, last]) % len(replay.rows), torch.arange(len(last))]
@@ -543,7 +543,7 @@ def _alone(folder: Path) -> Iterator[Plan]:
 
 def _change(folder: Path, plan: Plan) -> None:
     """Replace a run's plan, if the disk has room for the new one."""
-    _require_room(folder, disk_use(plan) - _used(folder), plan)
+    _require_room(folder, _missing(folder, plan), plan)
     plan.write(folder)
     _publish(folder)
 
@@ -568,9 +568,10 @@ def disk_use(plan: Plan) -> int:
     return len(plan.seeds) * (4 * rows + 2 * checkpoint)
 
 
-def _used(folder: Path) -> int:
-    """Return the bytes that a run takes on its disk."""
-    return sum(512 * path.stat().st_blocks for path in folder.rglob("*"))
+def _missing(folder: Path, plan: Plan) -> int:
+    """Return the bytes that a run may still take, beside the replay that it has."""
+    held = sum(path.stat().st_size for path in folder.glob("members/*/replay.f32"))
+    return disk_use(plan) - held
 
 
 def _require_room(place: Path, needed: int, plan: Plan) -> None:
@@ -590,10 +591,9 @@ def _full_disk_explained(folder: Path, plan: Plan) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        missing = max(disk_use(plan) - _used(folder), 2**20)
         raise OSError(
-            f"the disk of {folder} is full: free {_words(missing)}, and `offairl resume {folder}` "
-            "goes on from the last checkpoint"
+            f"the disk of {folder} is full: free {_words(_missing(folder, plan))}, and "
+            f"`offairl resume {folder}` goes on from the last checkpoint"
         ) from error
 
 
