@@ -221,18 +221,20 @@ class Trainer:
             noise = self.streams.normal(1, self.action_dim)
             scaled = self.generator.normaliser(obs.unsqueeze(1))
             actor, params = self.generator.actor, self.generator.actor_params
-            pre_tanh = actor.sample(params, scaled, noise)[0].squeeze(1)
-            self._give_up("actions", ~pre_tanh.isfinite().all(-1))
-            pre_tanh = pre_tanh.nan_to_num(0)
+            pre_tanh = actor.explore(params, scaled, noise).squeeze(1)
+            finite = pre_tanh.isfinite()
+            if not finite.all():
+                self._give_up("actions", ~finite.all(-1))
+                pre_tanh = pre_tanh.where(finite, 0)
         action = torch.tanh(pre_tanh).cpu().numpy()
         next_obs, reward, terminated, truncated, _ = self.env.step(action)
         self._store(
             Batch(
-                torch.as_tensor(self.obs, dtype=torch.float32),
+                _float(self.obs),
                 pre_tanh.cpu(),
-                torch.as_tensor(next_obs, dtype=torch.float32),
-                torch.as_tensor(reward, dtype=torch.float32),
-                torch.as_tensor(terminated, dtype=torch.float32),
+                _float(next_obs),
+                _float(reward),
+                _float(terminated),
             )
         )
         done = terminated | truncated
@@ -243,7 +245,7 @@ class Trainer:
 
     def _seen(self, obs: np.ndarray) -> Float[Tensor, "S O"]:
         """Return observations as the networks see them, with the absorbing indicator if any."""
-        seen = torch.as_tensor(obs, dtype=torch.float32, device=self.device)
+        seen = _float(obs).to(self.device)
         return seen if self.config.absorbing == "none" else absorbing.extend(seen)
 
     def _store(self, batch: Batch) -> None:
@@ -488,6 +490,10 @@ class Trainer:
             self.metrics = _under("metrics.", state, lambda x: x.to(self.device))
         except (KeyError, RuntimeError) as error:
             raise ValueError(f"not a state of this run: {error}") from error
+
+
+def _float(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(array.astype(np.float32))
 
 
 def replay_slots(config: Config, memory: int) -> int:

@@ -84,6 +84,16 @@ class SquashedGaussian:
         log_prob = gaussian_log_density(noise, torch.zeros_like(noise), torch.zeros_like(noise))
         return pre_tanh, log_prob - (log_std + log_tanh_slope(pre_tanh)).sum(-1)
 
+    def explore(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        noise: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "S B A"]:
+        """Return `pre_tanh` for standard normal `noise`: a sample."""
+        mean, log_std = self.distribution(params, obs)
+        return mean + log_std.exp() * noise
+
     def log_prob(
         self,
         params: Float[Tensor, "S P"],
@@ -133,14 +143,14 @@ class Deterministic:
         """Draw the weights of a population."""
         return self.net.init(streams)
 
-    def sample(
+    def explore(
         self,
         params: Float[Tensor, "S P"],
         obs: Float[Tensor, "S B O"],
         noise: Float[Tensor, "S B A"],
-    ) -> tuple[Float[Tensor, "S B A"], None]:
-        """Return `pre_tanh` of the noisy action; a clipped action has no density."""
-        return unsquash(self.mode(params, obs) + self.noise_std * noise), None
+    ) -> Float[Tensor, "S B A"]:
+        """Return `pre_tanh` of the action with noise on it; clipped, it has no density."""
+        return unsquash(self.mode(params, obs) + self.noise_std * noise)
 
     def mode(
         self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
@@ -186,7 +196,7 @@ class Policy:
         obs = self.normaliser(obs)
         if noise is None:
             return self.actor.mode(self.params, obs)
-        return torch.tanh(self.actor.sample(self.params, obs, noise)[0])
+        return torch.tanh(self.actor.explore(self.params, obs, noise))
 
     def save(self, path: str | PathLike, **notes: Any) -> None:
         """Write the population to a safetensors file, with notes (returns, seeds) beside it."""

@@ -84,6 +84,7 @@ class Replay:
         rows = torch.zeros(shape) if self._map is None else torch.from_numpy(self._map)
         self.rows: Float[Tensor, "N S D"] = rows
         self.added = torch.zeros(population, dtype=torch.long)
+        self._everyone = torch.arange(population)
 
     @property
     def sizes(self) -> list[int]:
@@ -97,8 +98,8 @@ class Replay:
             ValueError: the shapes are not those of the buffer.
         """
         rows = pack(batch)
-        slots, population, width = self.rows.shape
-        members = torch.arange(population) if members is None else members
+        slots, _, width = self.rows.shape
+        members = self._everyone if members is None else members
         if rows.shape != (len(members), width):
             raise ValueError(
                 f"transitions pack to {tuple(rows.shape)}; this buffer takes "
@@ -125,7 +126,7 @@ class Replay:
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
         slot = (oldest + streams.integers(sizes, count).cpu()) % slots
         # One gather for all members.
-        index = slot * population + torch.arange(population).unsqueeze(1)
+        index = slot * population + self._everyone.unsqueeze(1)
         rows = self.rows.view(-1, width).index_select(0, index.flatten())
         return unpack(rows.view(population, count, width).to(self.device), self.obs_dim)
 

@@ -103,8 +103,11 @@ def test_the_command_prints_table_or_json(report, monkeypatch, capsys):
 
 
 def multiply(rows, *sizes):
-    """FLOP of a network's forward pass: two for each weight and row."""
-    return 2 * rows * sum(i * o for i, o in pairwise(sizes))
+    """FLOP of a network's forward pass: two for each weight and row.
+
+    A layer of one unit is a sum, and no product of matrices.
+    """
+    return 2 * rows * sum(i * o for i, o in pairwise(sizes) if o > 1)
 
 
 @pytest.mark.parametrize("population", [1, 3])

@@ -283,15 +283,14 @@ def test_when_every_member_has_diverged_the_run_stops_and_its_rows_are_there(tin
 
 
 def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeypatch):
-    original = SquashedGaussian.sample
+    original = SquashedGaussian.explore
 
-    def sample(self, params, obs, noise):
-        pre_tanh, log_prob = original(self, params, obs, noise)
-        if noise.shape[1] == 1:
-            pre_tanh[0] = torch.nan
-        return pre_tanh, log_prob
+    def explore(self, params, obs, noise):
+        pre_tanh = original(self, params, obs, noise)
+        pre_tanh[0] = torch.nan
+        return pre_tanh
 
-    monkeypatch.setattr(SquashedGaussian, "sample", sample)
+    monkeypatch.setattr(SquashedGaussian, "explore", explore)
     with pytest.warns(UserWarning, match="seed 3 diverged by step 100: its actions"):
         result = run(replace(tiny, reward="environment"), (3, 7))
     assert list(result.diverged) == [3]

@@ -130,6 +130,7 @@ def test_a_sample_comes_with_its_own_log_prob():
     pre_tanh, log_prob = actor.sample(params, obs, noise)
     mean, log_std = actor.distribution(params, obs)
     torch.testing.assert_close(pre_tanh, mean + log_std.exp() * noise)
+    assert torch.equal(actor.explore(params, obs, noise), pre_tanh)
     torch.testing.assert_close(log_prob, actor.log_prob(params, obs, pre_tanh))
 
 
@@ -165,8 +166,7 @@ def test_the_deterministic_actor_adds_noise_to_the_action():
     params = actor.init(Streams((0, 1)))
     obs, noise = (Streams((4, 5)).normal(6, n) for n in (3, 2))
     noise[0, 0] = 1e3
-    pre_tanh, log_prob = actor.sample(params, obs, noise)
-    assert log_prob is None
+    pre_tanh = actor.explore(params, obs, noise)
     expected = (actor.mode(params, obs) + 0.1 * noise).clamp(-MAX_ACTION, MAX_ACTION)
     torch.testing.assert_close(torch.tanh(pre_tanh), expected, atol=1e-6, rtol=0)
 
@@ -184,7 +184,7 @@ def test_a_policy_acts_by_mode_or_by_sample_on_scaled_observations(actor):
     policy, obs, noise = population(actor), *(Streams((4, 5)).normal(6, n) for n in (3, 2))
     scaled = (obs - policy.normaliser.mean) / policy.normaliser.std
     assert torch.equal(policy.act(obs), actor.mode(policy.params, scaled))
-    sampled = torch.tanh(actor.sample(policy.params, scaled, noise)[0])
+    sampled = torch.tanh(actor.explore(policy.params, scaled, noise))
     assert torch.equal(policy.act(obs, noise), sampled)
     assert not torch.equal(policy.act(obs, noise), policy.act(obs))
 

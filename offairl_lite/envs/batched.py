@@ -222,9 +222,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
                 f"actions must be numbers of shape {self.action_space.shape}, "
                 f"not {actions.dtype} of shape {actions.shape}"
             )
-        bad = np.argwhere(~np.isfinite(actions))
-        if bad.size:
-            member, joint = bad[0].tolist()
+        finite = np.isfinite(actions)
+        if not finite.all():
+            member, joint = np.argwhere(~finite)[0].tolist()
             raise ValueError(
                 f"member {member}: action[{joint}] is {actions[member, joint]}; "
                 f"actions must be finite, within {self.single_action_space}"
@@ -252,11 +252,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     def _contact_forces(self, members: np.ndarray) -> np.ndarray:
         """External forces on the bodies of some members, clipped, (members, nbody or 0, 6)."""
         forces = np.zeros((len(members), *self._physics.contact.shape[1:]))
-        if self.task.contact_forces:
-            for row, member in zip(forces, members, strict=True):
-                data = self._batch.get_data(member, self._scratch)
-                mujoco.mj_rnePostConstraint(self._model, data)
-                row[:] = data.cfrc_ext
+        if not self.task.contact_forces:
+            return forces
+        for row, member in zip(forces, members, strict=True):
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_rnePostConstraint(self._model, data)
+            row[:] = data.cfrc_ext
         return np.clip(forces, -1, 1)
 
     def _measure(self, moved: np.ndarray, contact: np.ndarray | float) -> None:
