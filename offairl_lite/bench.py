@@ -6,18 +6,24 @@ the ratios within a round. Everything runs on one thread unless asked otherwise,
 one is better spent on a process with other seeds. On HalfCheetah are measured:
 
 - *Combined updates*: one of the discriminator, with its penalty, and one of SAC, whose actor
-  learns every second time, in blocks as in training. With one member, or small networks, the time
-  goes to starting some hundreds of small operations, so that more members cost little; with many
-  members, to element-wise work, which waits for memory.
+  learns every second time, in blocks as in training; compiled, where there is a compiler. One
+  member is held up by thin products and by what remains of calls; many members by element-wise
+  work, above all Adam's, which waits for memory. At demo size nothing is compiled, for that takes
+  longer than the run: one member's time then goes to calling some four hundred small operations,
+  whatever their size. Five members are called as often, so that what they cost more is their
+  arithmetic, the products and tanh: the faster the processor at these, the less.
 - *Products*: the matrix products of these updates alone, at exactly their shapes, back to back.
   They are the floor of the updates' time, and the share that they have in it is shown. What the
-  machine makes of them depends on the shapes: first and last layers are thin, and slow.
+  machine makes of them depends on the shapes: first layers are thin, and slow. A layer with one
+  output is a sum, and not counted.
 - *Whole steps*: one step of the environment, which is physics, and one combined update. Beside
   them, on the same environment, with the same hidden layers and batch, Stable-Baselines3 or SBX:
   one step and one update of SAC, without a discriminator. The rest is at their defaults; the
-  actor, for instance, learns every time.
+  actor, for instance, learns every time. A tenth of our time goes to acting and physics, the rest
+  to the updates. Stable-Baselines3 is held up by calls, SBX as we are by its products.
 - *Environments* alone: ten members of each built-in task, under random actions.
-- *Two processes* with the largest population, against one of them alone. On the CPU only.
+- *Two processes* with the largest population, against one of them alone, on the CPU only. They
+  share the memory's bandwidth and the last level of cache, and nothing else.
 - *Memory*: the most that one such process has held, and this one with all its contestants; on a
   GPU, what PyTorch has held there.
 """
@@ -49,7 +55,7 @@ from tqdm.auto import tqdm
 from offairl_lite.config import CORRECTED
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS, BatchedEnv
-from offairl_lite.execution import Execution
+from offairl_lite.execution import Execution, compiler
 from offairl_lite.imitate import CHUNK, Trainer
 from offairl_lite.replay import Batch
 from offairl_lite.runs import PACKAGES, processor
@@ -108,8 +114,9 @@ class Options:
     device: Literal["cpu", "cuda"] = "cpu"
     """Where our networks and replay live; the others' stay on the CPU."""
 
-    compile: bool = False
-    """Whether our updates are compiled; those at demo size never are."""
+    compile: bool = field(default_factory=lambda: compiler() is not None)
+    """Whether our updates are compiled, by default where there is a compiler; those at demo size
+    never are."""
 
     threads: int = 1
     """Of PyTorch, of JAX and of the physics."""

@@ -13,7 +13,7 @@ from offairl_lite.bench import Contestant, Options, ours
 from offairl_lite.envs import TASKS
 from offairl_lite.imitate import CHUNK
 
-QUICK = "--rounds 1 --seconds 0.02 --populations 1 2"
+QUICK = "--rounds 1 --seconds 0.02 --populations 1 2 --no-compile"
 
 
 @pytest.fixture(autouse=True)
