@@ -2,6 +2,7 @@
 
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 from json import dumps
@@ -30,6 +31,12 @@ def list_experiments() -> None:
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
             print(f"  {'':16}   {size}: {config.total_steps:,} steps, {seeds} seeds")
+        if experiment.variants:
+            names = textwrap.wrap(" ".join(experiment.variants), 78, break_on_hyphens=False)
+            print(
+                *(f"  {'':16}   {line}" for line in ["--only some of these runs:", *names]),
+                sep="\n",
+            )
     print("\nExperts (offairl demos ENV_ID):")
     for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
         policy = Policy.load(path)
@@ -228,11 +235,12 @@ def main(args: Sequence[str] | None = None) -> None:
         name = next((arg for arg in args if arg in EXPERIMENTS), "maze-imitation")
         sizes = [after for before, after in pairwise(args) if before == "--scale"]
         size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
+        several = sweep.subcommand(name, size, runs.create)
         commands = {
             "list": list_experiments,
-            "run": _run_command(name, size),
+            "run": several if EXPERIMENTS[name].variants else _run_command(name, size),
             "resume": resume,
-            "sweep": sweep.subcommand(name, size, runs.create),
+            "sweep": several,
             "demos": demos,
             "watch": watch,
             "bench": bench,

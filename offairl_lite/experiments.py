@@ -1,7 +1,8 @@
 """The experiments, as data: each name means one configuration at demo and one at full scale."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from offairl_lite.config import CORRECTED, Config
 from offairl_lite.scale import Scale
@@ -16,12 +17,14 @@ class Experiment:
         configs: the configuration at each scale.
         seeds: the members at each scale.
         reward_from: the experiment whose learned reward is used, frozen; None for no such.
+        variants: where it is several runs, their names, and what each changes in the configuration.
     """
 
     about: str
     configs: Mapping[Scale, Config]
     seeds: Mapping[Scale, tuple[int, ...]]
     reward_from: str | None = None
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
@@ -58,7 +61,56 @@ def _both(demo: dict, full: dict, **common) -> Mapping[Scale, Config]:
 # too far: the entropy is worth more. Magnified, the distance is.
 _EXPERT = {"reward": "environment", "reward_scale": 100.0}
 
+# The paper's three candidates for an expert, on its eight tasks. Members of a locomotion task end
+# their episodes at different times, so they train every 1,000 steps.
+_LEARNERS = {
+    "td3": {"generator": "td3"},
+    "sac-fixed": {"temperature": 0.2},
+    "sac-learned": {"temperature": None},
+}
+_LOCOMOTION = (
+    "HalfCheetah-v5",
+    "Ant-v5",
+    "Hopper-v5",
+    "Walker2d-v5",
+    "offairl/CustomAnt-v0",
+    "offairl/DisabledAnt-v0",
+)
+_ON_THE_MAZE = {"update_every": None, "target_entropy": -1.0, "warmup_hold": 10.0, **_EXPERT}
+
+
+def _expert_variants() -> dict[str, dict[str, Any]]:
+    tasks = {task: {} for task in _LOCOMOTION} | {LEFT: _ON_THE_MAZE, RIGHT: _ON_THE_MAZE}
+    return {
+        f"{task.split('/')[-1].split('-')[0]}-{name}": {"env_id": task, **changes, **learner}
+        for task, changes in tasks.items()
+        for name, learner in _LEARNERS.items()
+    }
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
+    "experts": Experiment(
+        "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
+        {
+            "demo": replace(
+                CORRECTED,
+                env_id="HalfCheetah-v5",
+                reward="environment",
+                total_steps=6_000,
+                warmup_steps=1_000,
+                update_every=200,
+                batch_size=64,
+                hidden=(64, 64),
+                eval_every=2_000,
+                eval_episodes=2,
+            ),
+            "full": replace(
+                CORRECTED, env_id="HalfCheetah-v5", reward="environment", update_every=1_000
+            ),
+        },
+        SEEDS,
+        variants=_expert_variants(),
+    ),
     "maze-expert": Experiment(
         "SAC on the true reward of the maze: trains the experts, and is the upper line of figures",
         _both({"total_steps": 16_000, "target_rate": 0.02, "eval_every": 2_000}, {}, **_EXPERT),

@@ -16,7 +16,7 @@ from offairl_lite import demonstrations, jobs
 from offairl_lite.config import Config, differences
 from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution, compiles
-from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.scale import Scale
 
 
@@ -93,6 +93,7 @@ def subcommand(
         *,
         scale: Scale = size,
         grid: Annotated[tuple[str, ...], UseAppendAction] = (),
+        only: tuple[str, ...] = (),
         seeds: tuple[int, ...] = experiment.seeds[size],
         out: Path | None = None,
         prepare: bool = False,
@@ -113,6 +114,7 @@ def subcommand(
             scale: demo takes minutes, full is the paper's protocol.
             grid: a field and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
                 combinations are run.
+            only: of an experiment that is several runs, the names of some.
             seeds: of each run.
             out: where the run folders are; by default runs/sweep-EXPERIMENT-SCALE.
             prepare: make the run folders, and leave the work in them to others.
@@ -126,8 +128,9 @@ def subcommand(
             compile: whether updates are compiled; auto: long runs of large networks.
             config: what all runs have in common.
         """
-        points = _points(config, grid)
-        folder = out or Path("runs") / f"sweep-{experiment}-{scale}"
+        points = _points(find(experiment), config, grid, only)
+        kind = "sweep-" if grid else ""
+        folder = out or Path("runs") / f"{kind}{experiment}-{scale}"
         fresh = {
             name: point for name, point in points.items() if not _there(folder / name, point, seeds)
         }
@@ -176,7 +179,13 @@ def subcommand(
     return sweep
 
 
-def _points(config: Config, axes: Sequence[str]) -> dict[str, Config]:
+def _points(
+    experiment: Experiment, config: Config, axes: Sequence[str], only: Sequence[str]
+) -> dict[str, Config]:
+    """Return the configurations of an experiment's own runs, or some of them, times a grid."""
+    variants = experiment.variants or {"": {}}
+    if unknown := set(only) - set(variants):
+        raise ValueError(f"no runs {sorted(unknown)}; there are: {', '.join(variants)}")
     values: dict[str, list[str]] = {}
     for axis in axes:
         name, given, texts = axis.partition("=")
@@ -184,7 +193,14 @@ def _points(config: Config, axes: Sequence[str]) -> dict[str, Config]:
         if not given or name in values:
             raise ValueError(f"--grid {axis}: expected FIELD=VALUE,VALUE, and each field once")
         values[name] = texts.split(",")
-    return grid(config, **values)
+    points = {}
+    for variant, changes in variants.items():
+        if only and variant not in only:
+            continue
+        own = replace(config, **changes)
+        some = grid(own, **values) if values or not changes else {"": own}
+        points |= {",".join(filter(None, (variant, name))): p for name, p in some.items()}
+    return points
 
 
 def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:

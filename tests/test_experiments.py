@@ -1,5 +1,7 @@
 """The experiments: full scale is the paper's protocol, and what is not in it is named."""
 
+from dataclasses import replace
+
 import pytest
 
 from offairl_lite.config import CORRECTED, PAPER, RELEASE, differences
@@ -20,6 +22,28 @@ def test_full_scale_is_the_paper_s_protocol(name):
 def test_demo_scale_is_small(name):
     assert EXPERIMENTS[name].configs["demo"].total_steps <= 20_000
     assert len(EXPERIMENTS[name].seeds["demo"]) == 5
+
+
+def test_experts_are_three_learners_on_the_eight_tasks_of_the_paper():
+    experiment = find("experts")
+    runs = {
+        name: replace(experiment.configs["full"], **changes)
+        for name, changes in experiment.variants.items()
+    }
+    assert len(runs) == 24
+    assert len({run.env_id for run in runs.values()}) == 8
+    for name, run in runs.items():
+        task, _, learner = name.partition("-")
+        assert run.env_id.split("/")[-1].startswith(f"{task}-v")
+        expected = {
+            "td3": ("td3", 0.2),
+            "sac-fixed": ("sac", 0.2),
+            "sac-learned": ("sac", None),
+        }
+        assert (run.generator, run.temperature) == expected[learner]
+        assert (run.reward, run.batch_size, run.total_steps) == ("environment", 100, 1_000_000)
+    maze = differences(runs["PointMazeLeft-sac-learned"], find("maze-expert").configs["full"])
+    assert maze == {}
 
 
 def test_what_the_maze_adds_to_the_corrected_preset():
@@ -46,5 +70,5 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
 
 
 def test_an_unknown_experiment_lists_those_there_are():
-    with pytest.raises(ValueError, match="no experiment 'maze'; there are: maze-expert"):
+    with pytest.raises(ValueError, match="no experiment 'maze'; there are: experts, maze-expert"):
         find("maze")

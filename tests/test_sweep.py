@@ -25,7 +25,7 @@ if value == 0.4:
 (seeds,) = about["shards"]
 name = "-".join(map(str, seeds))
 curve = "seed,step,mean_return\\n"
-curve += "".join(f"{seed},200,{10 * value + seed}\\n" for seed in seeds)
+curve += "".join(f"{seed},200,{10 * (value or 0) + seed}\\n" for seed in seeds)
 for path in (folder, folder / "members" / name):
     (path / "curve.csv").write_text(curve)
 lost = {"3": "too cold"} if value == 0.01 else {}
@@ -245,3 +245,25 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
 def test_an_axis_has_a_form(axis, offairl):
     with pytest.raises(ValueError, match=r"FIELD=VALUE,VALUE|no field ''"):
         offairl(f"maze-expert --grid {axis} {SMALL}")
+
+
+def test_an_experiment_of_several_runs_is_some_or_all_of_them(offairl):
+    line = "experts --seeds 0 --only Hopper-td3 PointMazeLeft-sac-learned"
+    made = offairl(line, "experts")
+    folder = Path("runs/experts-demo")
+    assert [path for path, _ in made] == [
+        folder / "Hopper-td3",
+        folder / "PointMazeLeft-sac-learned",
+    ]
+    configs = [json.loads((path / "config.json").read_text())["config"] for path, _ in made]
+    assert [config["env_id"] for config in configs] == ["Hopper-v5", "offairl/PointMazeLeft-v0"]
+    # All of them, and each at every point of a grid.
+    assert len(offairl("experts --seeds 0", "experts")) == 24 - 2
+    made = offairl("experts --seeds 0 --only Ant-td3 --grid target_rate=0.1,0.2", "experts")
+    assert [path.name for path, _ in made] == ["Ant-td3,target_rate=0.1", "Ant-td3,target_rate=0.2"]
+    assert made[0][0].parent == Path("runs/sweep-experts-demo")
+
+
+def test_an_unknown_run_is_refused_with_those_there_are(offairl):
+    with pytest.raises(ValueError, match=r"no runs \['Hopper'\]; there are: HalfCheetah-td3, "):
+        offairl("experts --only Hopper", "experts")
