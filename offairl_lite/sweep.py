@@ -17,6 +17,7 @@ from offairl_lite.config import Config, differences
 from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution, compiles
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
+from offairl_lite.records import Plan
 from offairl_lite.scale import Scale
 
 
@@ -211,14 +212,8 @@ def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
     """
     if not (folder / "config.json").exists():
         return False
-    about = json.loads((folder / "config.json").read_text())
-    lists = {name: tuple(v) if isinstance(v, list) else v for name, v in about["config"].items()}
-    try:
-        other = Config(**lists)
-    except TypeError as error:
-        raise ValueError(f"{folder} is of another version: {error}") from error
-    others = tuple(seed for shard in about["shards"] for seed in shard)
-    found = {"seeds": (others, tuple(seeds)), **differences(other, config)}
+    plan = Plan.read(folder)
+    found = {"seeds": (plan.seeds, tuple(seeds)), **differences(plan.config, config)}
     found = [f"{name} {was!r}, not {now!r}" for name, (was, now) in found.items() if was != now]
     if found:
         raise ValueError(f"{folder} is a run with {', '.join(found)}: choose another --out")

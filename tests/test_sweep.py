@@ -1,7 +1,7 @@
 import json
 import os
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +9,7 @@ import tyro
 
 from offairl_lite import jobs, sweep
 from offairl_lite.config import CORRECTED
+from offairl_lite.records import Plan
 
 SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
 
@@ -109,8 +110,7 @@ def offairl(tmp_path, monkeypatch):
     def create(folder, config, seeds, **given):
         made.append((folder, given))
         (folder / "members").mkdir(parents=True)
-        about = {"shards": [seeds], "config": asdict(config)}
-        (folder / "config.json").write_text(json.dumps(about))
+        Plan(config, (seeds,), {}, None, 1).write(folder)
         (folder / "run.json").write_text('{"state": "waiting", "shards": {}}')
         (folder / "curve.csv").write_text("seed,step,mean_return\n")
         return "3 MB"
@@ -173,7 +173,7 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     about = json.loads(Path("here/temperature=0.1/config.json").read_text())
     about["config"]["gone"] = 1
     Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
-    with pytest.raises(ValueError, match=r"temperature=0.1 is of another version"):
+    with pytest.raises(ValueError, match="temperature=0.1/config.json does not describe a run"):
         offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
 
 
