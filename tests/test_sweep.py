@@ -173,7 +173,7 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     about = json.loads(Path("here/temperature=0.1/config.json").read_text())
     about["config"]["gone"] = 1
     Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
-    with pytest.raises(ValueError, match="temperature=0.1/config.json does not describe a run"):
+    with pytest.raises(ValueError, match=r"temperature=0.1/config\.json does not describe a run"):
         offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
 
 
