@@ -8,7 +8,7 @@ with $r_\psi(s)$ or $r_\psi(s, a)$. DAC's is the special case $\ell = r_\psi(s, 
 shaping, no log π.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import torch
@@ -80,6 +80,11 @@ class Reward:
         rows = list(index)
         normaliser = Normaliser(*(part[rows] for part in self.normaliser))
         return Reward(self.env_id, self.net, self.state_only, self.params[rows], normaliser)
+
+    def to(self, device: str | torch.device) -> "Reward":
+        """Return the same rewards on a device."""
+        normaliser = Normaliser(*(part.to(device) for part in self.normaliser))
+        return replace(self, params=self.params.to(device), normaliser=normaliser)
 
     @torch.no_grad()
     def __call__(

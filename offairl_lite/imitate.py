@@ -105,7 +105,8 @@ class Trainer:
         memory: int = 0,
     ) -> None:
         self.config, self.seeds, self.execution = config, tuple(seeds), execution
-        self.device, self.frozen_reward = torch.device(execution.device), reward
+        self.device = torch.device(execution.device)
+        self.frozen_reward = None if reward is None else reward.to(self.device)
         if not seeds:
             raise ValueError("no seeds: give one for each member of the population")
         if len(set(seeds)) < len(seeds):

@@ -66,6 +66,13 @@ def test_a_run_on_a_gpu_is_the_run_on_a_cpu_at_first(tiny, random_demonstrations
 
 
 @needs_gpu
+def test_a_frozen_reward_serves_on_a_gpu(tiny, random_demonstrations):
+    reward = train(tiny, (0, 1), random_demonstrations(MAZE), progress=False).reward
+    frozen = replace(tiny, reward="frozen")
+    assert train(frozen, (0, 1), reward=reward, execution=Execution("cuda")).rows
+
+
+@needs_gpu
 def test_a_graph_is_captured_once_for_each_flag_and_makes_no_update_twice():
     total, calls = torch.zeros(3, device="cuda"), []
 
