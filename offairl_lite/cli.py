@@ -110,6 +110,7 @@ def _run_command(name: str, size: Scale):
         out: Path | None = None,
         dataset: str | None = None,
         trajectories: int = 50,
+        subsample: int = 1,
         frozen: Path | None = None,
         device: Literal["cpu", "cuda"] = "cpu",
         threads: int = 1,
@@ -126,6 +127,7 @@ def _run_command(name: str, size: Scale):
             out: the folder to write; by default runs/EXPERIMENT-SCALE.
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
+            subsample: of each, only every so many-th transition.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
             device: where networks live.
             threads: of PyTorch and of the physics, in each process; small networks are fastest
@@ -145,7 +147,7 @@ def _run_command(name: str, size: Scale):
             reward = Reward.load(frozen)
         data = None
         if config.learns_reward:
-            data = demonstrations.load(config.env_id, trajectories, dataset)
+            data = demonstrations.load(config.env_id, trajectories, dataset, subsample)
         if processes is None:
             one_a_core = is_large(config) and device == "cpu"
             processes = min(os.cpu_count() or 1, len(seeds)) if one_a_core else 1
@@ -160,6 +162,7 @@ def _run_command(name: str, size: Scale):
             execution=execution,
             demonstrations=data,
             dataset=dataset,
+            subsample=subsample,
             reward=reward,
             experiment=experiment,
             scale=scale,

@@ -1,10 +1,14 @@
 """Expert demonstrations: loaded from Minari, checked, or made on first use by shipped experts."""
 
 import hashlib
+import json
+import logging
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import minari
@@ -13,36 +17,90 @@ import torch
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from tqdm.auto import tqdm
 
-from offairl_lite.evaluate import rollout
+from offairl_lite.evaluate import Episodes, rollout
 from offairl_lite.policies import Policy, unsquash
 from offairl_lite.replay import Batch
 
 EXPERTS = Path(__file__).parent / "experts"
 PURPOSE = 1
 """Sets the episodes of a data set apart from those of evaluations (`evaluate.episode_seeds`)."""
+BLOCK = 10
+"""Episodes of each expert that are made side by side, however few are asked for: matrix products of
+other shapes round differently, and a trajectory would depend on how many there are."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Whole episodes of an expert, as transitions.
+    """Episodes of an expert, as transitions.
 
     Args:
         env_id: the task.
         transitions: axes `N`, in order, with actions scaled to [-1, 1].
-        lengths: steps of each episode.
+        lengths: transitions of each episode.
+        whole_returns: of each episode, where `transitions` are only some of its steps.
     """
 
     env_id: str
     transitions: Batch
     lengths: tuple[int, ...]
+    whole_returns: tuple[float, ...] | None = None
 
     @property
     def returns(self) -> np.ndarray:
-        """Undiscounted return of each episode."""
+        """Undiscounted return of each whole episode, however many of its steps are here."""
+        if self.whole_returns is not None:
+            return np.array(self.whole_returns, np.float32)
         return np.array([part.sum() for part in self.transitions.reward.split(self.lengths)])
 
     def __len__(self) -> int:
         return len(self.lengths)
+
+    def subsample(
+        self, trajectories: int | Sequence[int] | None = None, every: int = 1, seed: int = 0
+    ) -> "Demonstrations":
+        """Return some of the trajectories, and of each every k-th transition from a random one on.
+
+        So Ho and Ermon (2016) thin demonstrations, and DAC after them. A termination is kept
+        wherever it falls, as DAC keeps its absorbing transitions: it is the only sign of how an
+        episode ends, and the absorbing state is made from it.
+
+        Args:
+            trajectories: how many, from the first on, or which; None: all.
+            every: k. The first transition is one of a trajectory's first k.
+            seed: of the first transitions; a trajectory's own is the same whichever others are
+                taken.
+
+        Raises:
+            ValueError: fewer trajectories than one, or other than there are, or `every` below 1.
+        """
+        if trajectories is None:
+            trajectories = len(self)
+        chosen = range(trajectories) if np.ndim(trajectories) == 0 else list(trajectories)
+        if not chosen or len({*chosen} & {*range(len(self))}) < len(chosen):
+            raise ValueError(
+                f"trajectories is {trajectories}; there are {len(self)}: give a number from 1 to "
+                f"{len(self)}, or a list of different ones from 0 to {len(self) - 1}"
+            )
+        if every < 1:
+            raise ValueError(f"every is {every}; expected at least 1, which keeps all transitions")
+        ends = np.cumsum(self.lengths)
+        kept = []
+        for i in chosen:
+            # A trajectory of fewer than k transitions keeps one of them.
+            offset = np.random.default_rng((seed, i)).integers(min(every, self.lengths[i]))
+            rows = np.arange(ends[i] - self.lengths[i] + offset, ends[i], every)
+            if rows[-1] < ends[i] - 1 and self.transitions.terminated[ends[i] - 1]:
+                rows = np.append(rows, ends[i] - 1)
+            kept.append(rows)
+        rows = torch.from_numpy(np.concatenate(kept))
+        return Demonstrations(
+            self.env_id,
+            Batch(*(part[rows] for part in self.transitions)),
+            tuple(map(len, kept)),
+            tuple(self.returns[list(chosen)].tolist()),
+        )
 
 
 def expert(env_id: str) -> Policy:
@@ -75,7 +133,9 @@ def short_name(env_id: str) -> str:
     return env_id.split("/")[-1].rsplit("-v", 1)[0]
 
 
-def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> Demonstrations:
+def load(
+    env_id: str, trajectories: int = 50, dataset_id: str | None = None, subsample: int = 1
+) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
     Without `dataset_id` they are the shipped experts' own, made the first time and then kept, under
@@ -86,15 +146,20 @@ def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> 
         env_id: the task.
         trajectories: how many episodes to take, from the first on.
         dataset_id: a data set of your own, as `minari.list_local_datasets()` names it.
+        subsample: of each trajectory every so many-th transition is taken, see
+            `Demonstrations.subsample`.
 
     Raises:
         FileNotFoundError: there is no such data set, and no expert to make it.
         ValueError: the data set does not fit the task; says what was expected and what was found.
+            Or `trajectories` or `subsample` is below 1.
     """
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
+    if subsample < 1:
+        raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
     if dataset_id is None:
-        digest = hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest()[:8]
+        digest = _digest(expert_file(env_id).read_bytes())[:8]
         dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{trajectories}-v0"
         if dataset_id not in minari.list_local_datasets():
             generate(env_id, trajectories, dataset_id)
@@ -105,44 +170,46 @@ def load(env_id: str, trajectories: int = 50, dataset_id: str | None = None) -> 
             "Download one with `minari download`, or write one with "
             "minari.create_dataset_from_buffers"
         )
-    return from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
+    data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
+    return data if subsample == 1 else data.subsample(every=subsample)
 
 
 def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
     """Write a Minari data set of the shipped experts' episodes, shared out evenly among them.
 
     Actions are sampled, as maximum-entropy experts act. Episode `i` is the `i // n`-th of expert
-    `i % n`.
+    `i % n`. Where they are not the ones that `write_reference` saw, byte for byte, the log says so.
 
     Raises:
         FileNotFoundError: no expert is shipped for the task.
     """
     policy = expert(env_id)
-    rounds = -(-trajectories // len(policy))
+    first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []
     with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
-        seeds = range(len(policy))
-        made = rollout(policy, env_id, seeds, rounds, sample=True, purpose=PURPOSE)
-        for e in range(rounds):
-            for member in range(min(len(policy), trajectories - e * len(policy))):
-                length = made.lengths[member, e]
-                ended = np.zeros(length, bool)
-                ended[-1] = made.terminated[member, e]
-                cut = np.zeros(length, bool)
-                cut[-1] = not ended[-1]
-                obs = made.obs[member, e, :length]
-                last = made.next_obs[member, e, length - 1 : length]
-                buffer.append(
-                    EpisodeBuffer(
-                        id=len(buffer),
-                        observations=np.concatenate([obs, last]),
-                        actions=made.action[member, e, :length],
-                        rewards=made.reward[member, e, :length].tolist(),
-                        terminations=ended.tolist(),
-                        truncations=cut.tolist(),
-                    )
+        for i in range(trajectories):
+            e, member = divmod(i, len(policy))
+            if i > 0 and member == e % BLOCK == 0:
+                made = _block(policy, env_id, e)
+            at = member, e % BLOCK
+            length = made.lengths[at]
+            ended = np.zeros(length, bool)
+            ended[-1] = made.terminated[at]
+            cut = np.zeros(length, bool)
+            cut[-1] = not ended[-1]
+            obs, last = made.obs[at][:length], made.next_obs[at][length - 1 : length]
+            buffer.append(
+                EpisodeBuffer(
+                    id=i,
+                    observations=np.concatenate([obs, last]),
+                    actions=made.action[at][:length],
+                    rewards=made.reward[at][:length].tolist(),
+                    terminations=ended.tolist(),
+                    truncations=cut.tolist(),
                 )
-                bar.update()
+            )
+            bar.update()
+    _compare(first, env_id)
     with warnings.catch_warnings():
         # Minari would like to know whom to write to about a data set; this one stays here.
         warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
@@ -154,6 +221,70 @@ def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
             algorithm_name="SAC",
             description=f"Episodes of the {len(policy)} shipped experts of {env_id}.",
         )
+
+
+def write_reference(env_id: str) -> Path:
+    """Write down, beside the shipped experts of a task, what their demonstrations are here.
+
+    Returns:
+        The file, to be shipped with the experts.
+
+    Raises:
+        FileNotFoundError: no expert is shipped for the task.
+    """
+    path = expert_file(env_id).with_suffix(".json")
+    made = _block(expert(env_id), env_id)
+    path.write_text(json.dumps(_description(made, env_id), indent=2) + "\n")
+    return path
+
+
+def _block(policy: Policy, env_id: str, first: int = 0) -> Episodes:
+    """Make the `first` episode of each expert and those that follow."""
+    seeds = range(len(policy))
+    return rollout(policy, env_id, seeds, BLOCK, sample=True, purpose=PURPOSE, first=first)
+
+
+def _description(made: Episodes, env_id: str) -> dict[str, Any]:
+    """Return what tells the first block of demonstrations from what another machine makes."""
+    return {
+        "experts": _digest(expert_file(env_id).read_bytes()),
+        "demonstrations": _digest(made.obs, made.action, made.next_obs, made.reward),
+        "episodes": made.returns.size,
+        "mean_return": round(float(made.returns.mean()), 4),
+        "mujoco": version("mujoco"),
+    }
+
+
+def _compare(made: Episodes, env_id: str) -> None:
+    """Log whether the first demonstrations are other than those that came with the experts.
+
+    It is logged and not warned of, since a warning can be made an error, and nothing is wrong.
+    """
+    path = expert_file(env_id).with_suffix(".json")
+    if not path.is_file():
+        return
+    there, here = json.loads(path.read_text()), _description(made, env_id)
+    same_experts = there["experts"] == here["experts"]
+    if same_experts and there["demonstrations"] != here["demonstrations"]:
+        log.warning(
+            "The demonstrations of %s are fine to use, but not byte for byte those of the records: "
+            "made with MuJoCo %s, expected %s (another processor rounds differently as well). The "
+            "mean return of the first %d is %.4f here, and was %.4f there.",
+            env_id,
+            here["mujoco"],
+            there["mujoco"],
+            here["episodes"],
+            here["mean_return"],
+            there["mean_return"],
+        )
+
+
+def _digest(*parts: bytes | np.ndarray) -> str:
+    """Return the SHA-256 of some bytes, or of those of arrays."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(np.ascontiguousarray(part) if isinstance(part, np.ndarray) else part)
+    return digest.hexdigest()
 
 
 def from_minari(

@@ -35,16 +35,18 @@ class Episodes(NamedTuple):
         return self.running.sum(-1)
 
 
-def episode_seeds(seeds: Sequence[int], episodes: int, purpose: int = 0) -> list[int]:
+def episode_seeds(
+    seeds: Sequence[int], episodes: int, purpose: int = 0, first: int = 0
+) -> list[int]:
     """Derive a seed for every episode of every member, `S * episodes`, in that order.
 
     They depend on the member's own seed and on `purpose`, which keeps the episodes of, say, an
-    evaluation apart from those of a data set.
+    evaluation apart from those of a data set. `first` is the number of the first episode.
     """
     return [
         int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
         for seed in seeds
-        for episode in range(episodes)
+        for episode in range(first, first + episodes)
     ]
 
 
@@ -56,6 +58,7 @@ def rollout(
     *,
     sample: bool = False,
     purpose: int = 0,
+    first: int = 0,
     num_threads: int = 1,
 ) -> Episodes:
     """Run whole episodes with each member of a policy.
@@ -67,6 +70,7 @@ def rollout(
         episodes: how many for each member, all at the same time.
         sample: whether to sample actions; otherwise the mode is taken.
         purpose: see `episode_seeds`.
+        first: number of the first episode; the seeds of earlier ones are left out.
         num_threads: for the physics.
 
     Raises:
@@ -75,7 +79,7 @@ def rollout(
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
     population = len(policy)
-    each = episode_seeds(seeds, episodes, purpose)
+    each = episode_seeds(seeds, episodes, purpose, first)
     env = envs.make(env_id, population * episodes, each, num_threads=num_threads)
     obs_dim, action_dim = env.single_observation_space.shape[0], env.single_action_space.shape[0]
     if policy.actor.obs_dim not in (obs_dim, obs_dim + 1):

@@ -72,6 +72,7 @@ def create(
     execution: Execution = Execution(),  # noqa: B008
     demonstrations: Demonstrations | None = None,
     dataset: str | None = None,
+    subsample: int = 1,
     reward: Reward | None = None,
     experiment: str | None = None,
     scale: str | None = None,
@@ -88,6 +89,7 @@ def create(
         demonstrations: where a reward is to be learned.
         dataset: their Minari data set, from which `work` loads them again; None: the shipped
             experts'.
+        subsample: how they were thinned when they were loaded, for `work` to do so again.
         reward: a frozen reward, where `config.reward` is `frozen`.
         experiment: its name, for the record.
         scale: its scale, for the record.
@@ -113,7 +115,12 @@ def create(
     shown = None
     if demonstrations is not None:
         digest = _digest(demonstrations.transitions._asdict())
-        shown = {"dataset": dataset, "trajectories": len(demonstrations), "digest": digest}
+        shown = {
+            "dataset": dataset,
+            "trajectories": len(demonstrations),
+            "subsample": subsample,
+            "digest": digest,
+        }
     plan = Plan(
         config,
         tuple(tuple(group.tolist()) for group in groups),
@@ -182,7 +189,12 @@ def work(
     if left and plan.demonstrations is not None:
         shown = plan.demonstrations
         if demonstrations is None:
-            demonstrations = data.load(plan.config.env_id, shown["trajectories"], shown["dataset"])
+            demonstrations = data.load(
+                plan.config.env_id,
+                shown["trajectories"],
+                shown["dataset"],
+                shown.get("subsample", 1),  # Older runs do not say.
+            )
         if _digest(demonstrations.transitions._asdict()) != shown["digest"]:
             raise ValueError(
                 f"{len(demonstrations)} trajectories of {shown['dataset'] or 'the shipped experts'}"

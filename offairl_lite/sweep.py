@@ -103,6 +103,7 @@ def subcommand(
         address: str | None = None,
         dataset: str | None = None,
         trajectories: int = 50,
+        subsample: int = 1,
         frozen: Path | None = None,
         device: Literal["cpu", "cuda"] = "cpu",
         compile: Literal["auto", "yes", "no"] = "auto",
@@ -124,6 +125,7 @@ def subcommand(
             address: of the Ray cluster, auto on one of its nodes; by default a local one.
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
+            subsample: of each, only every so many-th transition.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
             device: where networks live.
             compile: whether updates are compiled; auto: long runs of large networks.
@@ -138,7 +140,9 @@ def subcommand(
         data = {}
         for name, point in fresh.items():
             if point.learns_reward and point.env_id not in data:
-                data[point.env_id] = demonstrations.load(point.env_id, trajectories, dataset)
+                data[point.env_id] = demonstrations.load(
+                    point.env_id, trajectories, dataset, subsample
+                )
             if point.reward == "frozen" and frozen is None:
                 raise ValueError(f"{name} is paid by the reward of another run: give --frozen")
         for name, point in fresh.items():
@@ -149,6 +153,7 @@ def subcommand(
                 execution=Execution(device, compile=compiles(point, compile)),
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
+                subsample=subsample,
                 reward=Reward.load(frozen) if point.reward == "frozen" else None,
                 experiment=experiment,
                 scale=scale,

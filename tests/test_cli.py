@@ -59,6 +59,17 @@ def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
     assert "PointMazeLeft-v0: 3 trajectories, 300 steps, return -" in capsys.readouterr().out
 
 
+def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
+    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --out thin {SMALL}")
+    about = Plan.read(elsewhere / "thin").demonstrations
+    assert (about["trajectories"], about["subsample"]) == (2, 20)
+    offairl("resume thin --steps 300")
+    assert read(elsewhere / "thin").steps[-1] == 300
+    assert "subsample is 0" in failure(
+        f"run maze-imitation --subsample 0 --out zero {SMALL}", capsys
+    )
+
+
 def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     offairl(f"run maze-imitation --trajectories 2 {SMALL}")
     folder = elsewhere / "runs" / "maze-imitation-demo"

@@ -1,14 +1,19 @@
+import hashlib
+import json
+from importlib.metadata import version
+
 import minari
 import numpy as np
 import pytest
 import torch
 
-from offairl_lite import demonstrations
-from offairl_lite.demonstrations import load, short_name
+from offairl_lite import absorbing, demonstrations
+from offairl_lite.demonstrations import Demonstrations, load, short_name
 from offairl_lite.envs.models import GOAL
 from offairl_lite.evaluate import rollout
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy
+from offairl_lite.replay import Batch
 from offairl_lite.streams import Streams
 
 MAZE = "offairl/PointMazeLeft-v0"
@@ -153,9 +158,11 @@ def test_two_folders_get_the_same_data(tmp_path, shipped_experts, monkeypatch):
 
 
 def test_a_trajectory_is_the_same_whether_few_are_asked_for_or_many(minari_folder, shipped_experts):
-    few, many = load(MAZE, 3), load(MAZE, 11)
-    assert (few.lengths, many.lengths) == ((100,) * 3, (100,) * 11)
-    torch.testing.assert_close(few.transitions.obs, many.transitions.obs[:300], rtol=0, atol=1e-4)
+    few, many = load(MAZE, 3), load(MAZE, 25)  # of two experts: more than one block
+    assert (few.lengths, many.lengths) == ((100,) * 3, (100,) * 25)
+    for some, all_ in zip(few.transitions, many.transitions, strict=True):
+        assert torch.equal(some, all_[:300])
+    assert len(np.unique(many.returns)) == 25
 
 
 def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_experts):
@@ -163,7 +170,8 @@ def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_exp
     (dataset_id,) = minari.list_local_datasets()
     dataset = minari.load_dataset(dataset_id)
     episodes = list(dataset.iterate_episodes())
-    made = rollout(shipped_experts, MAZE, range(2), 3, sample=True, purpose=demonstrations.PURPOSE)
+    given = {"sample": True, "purpose": demonstrations.PURPOSE}
+    made = rollout(shipped_experts, MAZE, range(2), demonstrations.BLOCK, **given)
     for i, episode in enumerate(episodes):
         np.testing.assert_array_equal(episode.observations[:-1], made.obs[i % 2, i // 2])
         np.testing.assert_array_equal(episode.actions, made.action[i % 2, i // 2])
@@ -173,6 +181,140 @@ def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_exp
     means = [shipped_experts.member(m).act(obs.flatten(0, 1)[None]).view(5, 100, 2) for m in (0, 1)]
     distance = [np.square(actions.mean(1) - m.numpy().mean(1)).sum(-1) for m in means]
     assert (np.argmin(distance, 0) == np.arange(5) % 2).all()
+
+
+def expected(env_id=MAZE, **changes):
+    """Change what is expected of the first demonstrations, in the file that says so."""
+    path = demonstrations.write_reference(env_id)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_demonstrations_that_are_those_expected_pass_in_silence(
+    minari_folder, shipped_experts, caplog
+):
+    expected()
+    load(MAZE, 1)
+    load(MAZE, 25)
+    assert not caplog.records
+
+
+def test_other_demonstrations_than_expected_are_used_and_the_difference_is_told(
+    minari_folder, shipped_experts, caplog
+):
+    expected(demonstrations="other", mujoco="1.2.3", mean_return=-43.21)
+    data = load(MAZE, 3)
+    assert len(data) == 3
+    (message,) = caplog.messages
+    assert f"The demonstrations of {MAZE} are fine to use, but not byte for byte" in message
+    assert f"MuJoCo {version('mujoco')}, expected 1.2.3" in message
+    mean = load(MAZE, 20).returns.mean()  # ten of each expert
+    assert f"mean return of the first 20 is {mean:.4f} here, and was -43.2100 there" in message
+    # What is there already is not looked at again.
+    caplog.clear()
+    load(MAZE, 3)
+    assert not caplog.records
+
+
+def test_nothing_is_expected_of_other_experts(minari_folder, shipped_experts, caplog):
+    expected(demonstrations="other")
+    shipped_experts.member(1, 0).save(demonstrations.EXPERTS / "PointMazeLeft.safetensors")
+    load(MAZE, 1)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("path", sorted(demonstrations.EXPERTS.glob("*.safetensors")))
+def test_the_shipped_demonstrations_are_much_the_same_on_this_machine(path, minari_folder):
+    """`write_reference` has been called since the experts last changed."""
+    policy = Policy.load(path)
+    wanted = json.loads(path.with_suffix(".json").read_text())
+    returns = load(policy.env_id, wanted["episodes"]).returns
+    assert wanted["experts"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    standard_error = returns.std() / np.sqrt(len(returns))
+    assert abs(returns.mean() - wanted["mean_return"]) < 5 * standard_error
+
+
+def numbered(lengths, terminated):
+    """Episodes whose every number tells the transition's place, and which end as is said."""
+    place = torch.arange(sum(lengths), dtype=torch.float32)
+    ended = torch.zeros(sum(lengths))
+    ended[np.cumsum(lengths) - 1] = torch.tensor(terminated, dtype=torch.float32)
+    obs = place[:, None]
+    return Demonstrations("Hopper-v5", Batch(obs, obs, obs + 1, place, ended), tuple(lengths))
+
+
+def test_every_kth_transition_is_kept_from_a_random_one_on():
+    data = numbered([100] * 30, [False] * 30)
+    thin = data.subsample(every=20, seed=1)
+    assert thin.lengths == (5,) * 30
+    places = thin.transitions.reward.view(30, 5)
+    steps = places - 100 * torch.arange(30)[:, None]
+    assert (places.diff() == 20).all()
+    assert ((steps[:, 0] >= 0) & (steps[:, 0] < 20)).all()
+    assert len(steps[:, 0].unique()) > 10  # an offset for each trajectory
+    for part, whole in zip(thin.transitions, data.transitions, strict=True):
+        assert torch.equal(part, whole[places.flatten().long()])
+    again, other = data.subsample(every=20, seed=1), data.subsample(every=20, seed=2)
+    assert torch.equal(again.transitions.reward, thin.transitions.reward)
+    assert not torch.equal(other.transitions.reward, thin.transitions.reward)
+
+
+def test_a_trajectory_is_thinned_the_same_whichever_others_are_taken():
+    data = numbered([50, 70, 90], [False] * 3)
+    thin = data.subsample(every=20)
+    *_, last = thin.transitions.reward.split(thin.lengths)
+    assert torch.equal(data.subsample([2], 20).transitions.reward, last)
+    first, second, _ = data.transitions.reward.split(data.lengths)
+    assert torch.equal(data.subsample(2).transitions.reward, torch.cat([first, second]))
+    swapped = data.subsample([1, 0])
+    assert torch.equal(swapped.transitions.reward, torch.cat([second, first]))
+    assert swapped.lengths == (70, 50)
+
+
+def test_thinned_demonstrations_have_the_returns_of_the_whole_trajectories():
+    data = numbered([50, 70, 90], [False, True, False])
+    assert np.array_equal(data.subsample(every=20).returns, data.returns)
+    assert np.array_equal(data.subsample([2, 0], 7).returns, data.returns[[2, 0]])
+    assert np.array_equal(data.subsample(2, 7).subsample([1], 3).returns, data.returns[[1]])
+
+
+def test_terminations_are_never_thinned_out():
+    """As many absorbing states as there were; a time limit's last step is like any other."""
+    lengths, ends = [7, 33, 100, 101, 3], [True, True, True, False, False]
+    data = numbered(lengths, ends)
+    thin = data.subsample(every=20)
+    assert thin.transitions.terminated.sum() == 3
+    parts = thin.transitions.reward.split(thin.lengths)
+    last = [part[-1].item() for part in parts]
+    assert last[:3] == (np.cumsum(lengths)[:3] - 1).tolist()
+    assert all(len(part.unique()) == len(part) > 0 for part in parts)  # none twice, none lost
+    assert len(absorbing.loops(absorbing.rewrite(thin.transitions)).obs) == 3
+    every = data.subsample()
+    assert every.lengths == data.lengths
+    assert all(map(torch.equal, every.transitions, data.transitions))
+
+
+@pytest.mark.parametrize("trajectories", [0, -1, 4, [], [3], [-1], [0, 0]])
+def test_trajectories_that_are_not_there_cannot_be_taken(trajectories):
+    data = numbered([5] * 3, [False] * 3)
+    with pytest.raises(ValueError, match=r"trajectories is .*; there are 3: .* from 1 to 3"):
+        data.subsample(trajectories)
+
+
+@pytest.mark.parametrize("every", [0, -20])
+def test_less_than_every_transition_cannot_be_taken(every):
+    with pytest.raises(ValueError, match=f"every is {every}; expected at least 1"):
+        numbered([5], [True]).subsample(every=every)
+    with pytest.raises(ValueError, match=f"subsample is {every}; expected at least 1"):
+        load("Pendulum-v1", 2, "my/pendulum-v0", subsample=every)
+
+
+def test_demonstrations_are_thinned_on_load(write_dataset):
+    write_dataset("my/pendulum-v0")
+    thin, whole = (load("Pendulum-v1", 2, "my/pendulum-v0", every) for every in (20, 1))
+    assert thin.lengths == (10, 10)
+    wanted = whole.subsample(every=20)
+    assert all(map(torch.equal, thin.transitions, wanted.transitions))
+    np.testing.assert_array_equal(thin.returns, whole.returns)
 
 
 @pytest.mark.parametrize("side", ["Left", "Right"])

@@ -84,11 +84,18 @@ def test_samples_are_not_the_mode():
     assert np.abs(mode.action - sample.action).max() > 0.1
 
 
+def test_episodes_can_begin_with_a_later_one():
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    whole, later = (rollout(policy, policy.env_id, SEEDS, 3, first=first) for first in (0, 2))
+    np.testing.assert_array_equal(later.obs[:, 0, 0], whole.obs[:, 2, 0])
+
+
 def test_episode_seeds_depend_on_member_purpose_and_episode():
     seeds = episode_seeds((0, 1, 2), 4)
     assert len(set(seeds) | set(episode_seeds((0, 1, 2), 4, purpose=1))) == 24
     assert episode_seeds((1,), 4) == seeds[4:8]
     assert episode_seeds((1,), 2) == seeds[4:6]
+    assert episode_seeds((1,), 2, first=2) == seeds[6:8]
 
 
 def test_a_policy_with_an_absorbing_indicator_acts_on_the_plain_task():

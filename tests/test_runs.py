@@ -18,7 +18,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from offairl_lite import networks, records, runs
-from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.discriminators import Reward
 from offairl_lite.imitate import Trainer
 from offairl_lite.networks import Normaliser, StackedMLP
@@ -499,6 +499,27 @@ def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonst
     runs.create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
     with pytest.raises(ValueError, match="3 trajectories of the shipped experts are not those"):
         runs.work(folder, demonstrations=random_demonstrations(MAZE, 3))
+
+
+def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset):
+    name = write_dataset("my/pendulum-v0").spec.dataset_id
+    config = replace(tiny, env_id="Pendulum-v1")
+    thin = load(config.env_id, 2, name, subsample=20)
+    runs.create(folder, config, SEEDS, demonstrations=thin, dataset=name, subsample=20)
+    resume(folder)
+    assert records.read(folder).steps[-1] == config.total_steps
+
+
+def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_dataset):
+    name = write_dataset("my/pendulum-v0").spec.dataset_id
+    config = replace(tiny, env_id="Pendulum-v1")
+    whole = load(config.env_id, 2, name)
+    runs.create(folder, config, SEEDS, demonstrations=whole, dataset=name)
+    about = json.loads((folder / "config.json").read_text())
+    assert about["demonstrations"].pop("subsample") == 1
+    (folder / "config.json").write_text(json.dumps(about))
+    resume(folder)
+    assert records.read(folder).steps[-1] == config.total_steps
 
 
 def test_nothing_is_overwritten(interrupted, folder, plain):

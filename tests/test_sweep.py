@@ -229,12 +229,13 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
     given = dict(
         (path.name, given)
         for path, given in offairl(
-            "maze-imitation --grid reward=dac,environment --temperature 0.1 --trajectories 2 "
-            f"{SMALL}",
+            "maze-imitation --grid reward=dac,environment --temperature 0.1 "
+            f"--trajectories 2 --subsample 20 {SMALL}",
             "maze-imitation",
         )
     )
-    assert len(given["reward=dac"]["demonstrations"]) == 2
+    assert given["reward=dac"]["demonstrations"].lengths == (5, 5)
+    assert given["reward=dac"]["subsample"] == 20
     assert given["reward=environment"]["demonstrations"] is None
     with pytest.raises(ValueError, match=r"temperature=0.1 is paid by the reward of another run"):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
