@@ -3,7 +3,8 @@
 Machines differ, and one machine differs from hour to hour. So the contestants take turns, round
 after round: a rate is the median over the rounds, and what counts are ratios, each the median of
 the ratios within a round. Everything runs on one thread unless asked otherwise, because a second
-one is better spent on a process with other seeds. On HalfCheetah are measured:
+one is better spent on a process with other seeds; and on Linux whatever trains is kept to one core,
+because JAX, asked for one thread, still uses a second. On HalfCheetah are measured:
 
 - *Combined updates*: one of the discriminator, with its penalty, and one of SAC, whose actor
   learns every second time, in blocks as in training; compiled, where there is a compiler. One
@@ -11,7 +12,7 @@ one is better spent on a process with other seeds. On HalfCheetah are measured:
   work, above all Adam's, which waits for memory. At demo size nothing is compiled, for that takes
   longer than the run: one member's time then goes to calling some four hundred small operations,
   whatever their size. Five members are called as often, so that what they cost more is their
-  arithmetic, the products and tanh: the faster the processor at these, the less.
+  arithmetic, the products and the activations: the faster the processor at these, the less.
 - *Products*: the matrix products of these updates alone, at exactly their shapes, back to back.
   They are the floor of the updates' time, and the share that they have in it is shown. What the
   machine makes of them depends on the shapes: first layers are thin, and slow. A layer with one
@@ -35,8 +36,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -313,6 +314,23 @@ def other_steps(options: Options, learner: Learner) -> Contestant:
     return Contestant(partial(learn, CHUNK), CHUNK)
 
 
+@contextmanager
+def kept_to_cores(number: int) -> Iterator[None]:
+    """Keep this thread, and those it starts meanwhile, to so many cores, where the system can.
+
+    JAX, asked for one thread, works on a second one besides. On one core it has to share.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(before)[-number:])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
 def environment_steps(options: Options, task: str) -> Contestant:
     """Return a task's environment alone; steps of all members count."""
     env = BatchedEnv(task, MEMBERS, seeds=range(MEMBERS), num_threads=options.threads)
@@ -410,7 +428,8 @@ def measure(options: Options) -> dict[str, Any]:
         makers["products", *size] = partial(our_products, options, *size)
     makers |= {learner: partial(our_steps, options, learner) for learner in options.learners}
     makers |= {learner: partial(other_steps, options, learner) for learner in options.opponents}
-    made = race("training", makers, options.rounds, options.seconds)
+    with kept_to_cores(options.threads):
+        made = race("training", makers, options.rounds, options.seconds)
     makers = {task: partial(environment_steps, options, task) for task in TASKS}
     environments = race("environments", makers, options.rounds, options.seconds / 2)
 

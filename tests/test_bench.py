@@ -1,6 +1,7 @@
 """That the benchmark measures what it says. How fast anything is, is asserted nowhere."""
 
 import json
+import os
 import subprocess
 import sys
 from itertools import pairwise
@@ -209,3 +210,13 @@ def test_the_others_take_turns_with_us():
     ]
     assert {"stable-baselines3", "sbx-rl"} <= set(report["versions"])
     assert [row["target"] for row in report["targets"]][:3] == [1.6, 1.0, 2.4]
+
+
+def test_the_cores_are_given_back():
+    if not hasattr(os, "sched_getaffinity"):
+        pytest.skip("this system does not say on which cores a process may run")
+    before = os.sched_getaffinity(0)
+    with bench.kept_to_cores(1):
+        assert len(os.sched_getaffinity(0)) == 1
+        assert os.sched_getaffinity(0) < before or len(before) == 1
+    assert os.sched_getaffinity(0) == before
