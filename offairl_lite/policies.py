@@ -218,7 +218,7 @@ class Policy:
         tensors, about = load_weights(path, "policy")
         shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
         actor = _ACTORS[shape.pop("name")](**shape)
-        params = tensors["params"]
+        params = tensors["params"].float()  # Shipped experts' may be in half precision.
         if params.shape[1:] != (actor.net.num_params,):
             raise ValueError(
                 f"{path}: weights {tuple(params.shape)}, expected (S, {actor.net.num_params})"
