@@ -11,14 +11,15 @@ Dey, "Maximum Entropy Inverse Reinforcement Learning" (2008).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
+from scipy.optimize import minimize
 from scipy.sparse import csr_array, eye_array, issparse
 from scipy.sparse.linalg import spsolve
-from scipy.special import entr, logsumexp
+from scipy.special import entr
 
 from offairl_lite.envs.models import GOAL, START, Side, walls
 
@@ -183,15 +184,7 @@ def soft_value_iteration(mdp: MDP, reward: Array, temperature: float = 1.0) -> S
     _check_temperature(temperature)
     if mdp.horizon is not None:
         return _backward(mdp, reward, temperature, mdp.expect)
-    value = np.zeros(mdp.num_states)
-    for _ in range(1000):
-        q = reward + mdp.discount * mdp.expect(value)
-        log_policy, improved = _soft_maximum(q, temperature)
-        size = max(np.abs(improved).max(), np.abs(q).max())
-        if np.abs(improved - value).max() <= _ROUNDING * size:
-            return Solution(log_policy, improved, q)
-        value = soft_evaluation(mdp, np.exp(log_policy), reward, temperature).value
-    raise ArithmeticError("soft value iteration has not converged in 1000 sweeps")
+    return _accelerated(mdp, reward, temperature, np.zeros(mdp.num_states))
 
 
 def soft_evaluation(
@@ -263,6 +256,297 @@ def shaping(mdp: MDP, potential: Float[Array, "S"]) -> Float[Array, "S A"]:
     return mdp.discount * mdp.expect(potential) - potential[:, None]
 
 
+class Trajectories(NamedTuple):
+    """N demonstrations of equal length T."""
+
+    states: Int[Array, "N T+1"]
+    """The states visited, the one after the last action among them."""
+    actions: Int[Array, "N T"]
+
+
+def sample(
+    mdp: MDP,
+    policy: Float[Array, "*T S A"],
+    episodes: int,
+    rng: np.random.Generator,
+    length: int | None = None,
+) -> Trajectories:
+    """Let a policy act.
+
+    Args:
+        mdp: the process.
+        policy: (S, A), or with a horizon also (T, S, A).
+        episodes: number of trajectories, N.
+        rng: the source of all randomness.
+        length: actions in each; the horizon where there is one and nothing else is said.
+
+    Raises:
+        ValueError: the policy is none; or the length is below 1, beyond the horizon, or missing
+            where there is no horizon.
+    """
+    policy = _checked_policy(mdp, policy)
+    length = mdp.horizon if length is None else length
+    if length is None or not 1 <= length <= (mdp.horizon or length):
+        raise ValueError(
+            f"length must be at least 1 and at most the horizon, {mdp.horizon}, not {length}; "
+            "where there is no horizon it must be given"
+        )
+    steps = policy if policy.ndim == 3 else np.broadcast_to(policy, (length, *policy.shape))
+    state = _draw(np.broadcast_to(mdp.initial, (episodes, mdp.num_states)), rng)
+    states, actions = [state], []
+    for pi in steps[:length]:
+        action = _draw(pi[state], rng)
+        state = _draw(mdp.transition[state * mdp.num_actions + action].toarray(), rng)
+        actions.append(action)
+        states.append(state)
+    return Trajectories(np.stack(states, 1), np.stack(actions, 1))
+
+
+def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S A"]:
+    """Return the discounted counts of the demonstrated pairs (s, a), averaged over trajectories.
+
+    It estimates `occupancy` without bias where trajectories are as long as the horizon; without a
+    horizon it lacks the share γ^T of what comes after their end.
+
+    Args:
+        mdp: the process in which they were recorded.
+        trajectories: N of them.
+
+    Raises:
+        ValueError: the shapes do not fit; a state or an action is not one of the process; or a
+            trajectory starts or goes where the process cannot: which one, and at which step.
+    """
+    states, actions = (np.asarray(part) for part in trajectories)
+    if (
+        states.ndim != 2
+        or 0 in actions.shape
+        or (len(states), states.shape[1] - 1) != actions.shape
+    ):
+        raise ValueError(
+            f"expected states (N, T + 1) and actions (N, T), got {states.shape} and {actions.shape}"
+        )
+    length = actions.shape[1]
+    if mdp.horizon is not None and length > mdp.horizon:
+        raise ValueError(f"trajectories of {length} actions exceed the horizon {mdp.horizon}")
+    for name, index, bound in (
+        ("state", states, mdp.num_states),
+        ("action", actions, mdp.num_actions),
+    ):
+        if index.min() < 0 or index.max() >= bound:
+            raise ValueError(
+                f"a {name} must be from 0 to {bound - 1}, but they are from {index.min()} to "
+                f"{index.max()}"
+            )
+    rows = states[:, :-1] * mdp.num_actions + actions
+    for t in range(length):
+        chance = mdp.transition[rows[:, t]].toarray()[np.arange(len(rows)), states[:, t + 1]]
+        if (chance == 0).any():
+            n = int(np.flatnonzero(chance == 0)[0])
+            raise ValueError(
+                f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
+                f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; is the "
+                "process the one it was recorded in?"
+            )
+    if (mdp.initial[states[:, 0]] == 0).any():
+        n = int(np.flatnonzero(mdp.initial[states[:, 0]] == 0)[0])
+        raise ValueError(
+            f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
+        )
+    weight = np.broadcast_to(mdp.discount ** np.arange(length) / len(states), actions.shape)
+    counts = np.bincount(rows.ravel(), weight.ravel(), mdp.transition.shape[0])
+    return counts.reshape(mdp.num_states, mdp.num_actions)
+
+
+def path_messages(mdp: MDP, reward: Array, temperature: float = 1.0) -> Solution:
+    """Solve the backward recursion of Ziebart et al. (2008) for a distribution over whole paths.
+
+    Given the first state, p(path) ∝ exp(Σ_t r(s_t, a_t)/α) Π_t p(s_t+1 | s_t, a_t). In logarithms:
+
+    Q(s, a) = r(s, a) + α log E[exp(V(s')/α)],  V(s) = α log Σ_a exp(Q(s, a)/α),  V_T = 0.
+
+    This is the causal solution with E[V] replaced by a maximum in soft form: where the dynamics are
+    random, it counts on being lucky. Where they are not, the two are the same.
+
+    Args:
+        mdp: the process, with a horizon and discount 1.
+        reward: (S,), (S, A) or (S, A, S).
+        temperature: α > 0.
+
+    Returns:
+        The conditionals p(a_t | s_t) of the path distribution, with V and Q.
+
+    Raises:
+        ValueError: no horizon, a discount below 1, a temperature that is not above 0, or a reward
+            that does not fit.
+    """
+    _check_paths(mdp, temperature)
+
+    def look_ahead(value):
+        return temperature * _log_expectation(mdp, value / temperature)
+
+    return _backward(mdp, mdp.expected_reward(reward), temperature, look_ahead)
+
+
+def path_occupancy(mdp: MDP, messages: Solution, temperature: float = 1.0) -> Float[Array, "S A"]:
+    """Return Σ_t p(s_t = s, a_t = a) under the distribution over paths of `path_messages`.
+
+    Not the occupancy of its policy: under the distribution over paths the dynamics are tilted as
+    well, p(s' | s, a) exp(V(s')/α) / E[exp(V/α)].
+
+    Args:
+        mdp: the process, with a horizon and discount 1.
+        messages: the result of `path_messages`.
+        temperature: the same α.
+
+    Raises:
+        ValueError: no horizon, a discount below 1, or a temperature that is not above 0.
+    """
+    _check_paths(mdp, temperature)
+    total, states = np.zeros(messages.policy.shape[1:]), mdp.initial
+    p = mdp.transition
+    row = np.repeat(np.arange(p.shape[0]), np.diff(p.indptr))
+    for pi, value in zip(messages.policy, [*messages.value[1:], 0 * states], strict=True):
+        flow = states[:, None] * pi
+        total += flow
+        exponent = value / temperature
+        tilt = np.exp(exponent[p.indices] - _log_expectation(mdp, exponent).ravel()[row])
+        states = csr_array((p.data * tilt, p.indices, p.indptr), p.shape).T @ flow.ravel()
+    return total
+
+
+Form = Literal["causal", "paths"]
+
+
+def log_likelihood(
+    mdp: MDP,
+    reward: Array,
+    demonstrated: Float[Array, "S A"],
+    temperature: float = 1.0,
+    form: Form = "causal",
+) -> tuple[float, Float[Array, "S A"]]:
+    """Return the log-likelihood of demonstrations under a reward, and its gradient in r(s, a).
+
+    L = (⟨ρ_E, r⟩ - E[V(s_0)])/α,  ∂L/∂r = (ρ_E - ρ)/α
+
+    with V and ρ of the soft optimum (`"causal"`) or of the distribution over paths (`"paths"`). It
+    is concave. In the causal form it is Σ_t γ^t log π(a_t | s_t) if ρ_E is the occupancy of some
+    policy; counts of sampled demonstrations in random dynamics are that only on average, and L is
+    then the dual of matching them. In the form of paths a constant is left out, the logarithm of
+    the demonstrated Π p(s' | s, a).
+
+    Args:
+        mdp: the process; for `"paths"` with a horizon and discount 1.
+        reward: (S,), (S, A) or (S, A, S).
+        demonstrated: ρ_E, from `occupancy` or `empirical_occupancy`.
+        temperature: α > 0.
+        form: `"causal"` or `"paths"`.
+
+    Returns:
+        L, and its gradient (S, A). For a reward r(s), sum it over the actions.
+
+    Raises:
+        ValueError: the form is unknown; what `soft_value_iteration` or `path_messages` refuse; a
+            temperature that is not above 0; or `demonstrated` has another shape, is negative, or
+            visits what cannot be reached.
+    """
+    reward = mdp.expected_reward(reward)
+    _check_positive(temperature)
+    demonstrated = np.asarray(demonstrated, dtype=float)
+    _check_demonstrated(mdp, demonstrated)
+    guess = np.zeros(mdp.num_states)
+    return _likelihood(mdp, reward, demonstrated, temperature, form, guess)[:2]
+
+
+class Fit(NamedTuple):
+    """What `maxent_irl` has found."""
+
+    reward: Array
+    """(S,) or (S, A), as the features are."""
+    weights: Float[Array, "K"]
+    history: Float[Array, "I K"]
+    """The weights before the first step and after each."""
+    log_likelihood: Float[Array, "I"]
+    """At these weights, without the penalty."""
+    mismatch: float
+    """Largest difference between demonstrated and learned feature expectations."""
+
+
+def maxent_irl(
+    mdp: MDP,
+    demonstrated: Float[Array, "S A"],
+    features,
+    temperature: float = 1.0,
+    form: Form = "causal",
+    penalty: float = 0.0,
+    iterations: int = 500,
+) -> Fit:
+    """Learn the reward of greatest likelihood, linear in features: r = features @ weights.
+
+    Maximises L - penalty/2 ‖weights‖², a concave function, with L-BFGS from weights 0. Without a
+    penalty its maximum matches the demonstrated feature expectations; it need not be finite, since
+    what is never seen is best valued at -∞. One feature per state, `scipy.sparse.eye_array(S)`,
+    learns any r(s); one per pair, `eye_array(S * A)`, any r(s, a).
+
+    Args:
+        mdp: the process.
+        demonstrated: ρ_E (S, A), from `occupancy` or `empirical_occupancy`.
+        features: dense or sparse, (S, K) for a reward of the state, (S·A, K) for one of the pair.
+        temperature: α > 0, the unit of the reward; the data know only r/α.
+        form: `"causal"` or `"paths"`, see `log_likelihood`.
+        penalty: λ ≥ 0.
+        iterations: at most.
+
+    Raises:
+        ValueError: features of another shape, a negative penalty, or what `log_likelihood` refuses.
+    """
+    s, a = mdp.num_states, mdp.num_actions
+    if features.ndim != 2 or features.shape[0] not in (s, s * a):
+        raise ValueError(f"features must be ({s}, K) or ({s * a}, K), not {features.shape}")
+    if not penalty >= 0:
+        raise ValueError(f"penalty must be at least 0, not {penalty}")
+    _check_positive(temperature)
+    demonstrated = np.asarray(demonstrated, dtype=float)
+    _check_demonstrated(mdp, demonstrated)
+    guess = np.zeros(s)
+    of_state = features.shape[0] == s
+
+    def reward_of(weights):
+        return (features @ weights).reshape((s,) if of_state else (s, a))
+
+    def loss(weights):
+        nonlocal guess
+        value, gradient, guess = _likelihood(
+            mdp, mdp.expected_reward(reward_of(weights)), demonstrated, temperature, form, guess
+        )
+        gradient = features.T @ (gradient.sum(1) if of_state else gradient.ravel())
+        return penalty / 2 * weights @ weights - value, penalty * weights - gradient
+
+    start = np.zeros(features.shape[1])
+    steps = [(start, -loss(start)[0])]
+
+    def keep(intermediate_result):
+        weights, value = intermediate_result.x.copy(), -intermediate_result.fun
+        steps.append((weights, value + penalty / 2 * weights @ weights))
+
+    found = minimize(
+        loss,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        callback=keep,
+        options={
+            "maxiter": iterations,
+            "maxfun": 2 * iterations,
+            "maxcor": 20,
+            "ftol": 0,
+            "gtol": 1e-9 * demonstrated.sum() / temperature,
+        },
+    )
+    history, likelihood = (np.array(part) for part in zip(*steps, strict=True))
+    mismatch = temperature * np.abs(found.jac - penalty * found.x).max()
+    return Fit(reward_of(found.x), found.x, history, likelihood, mismatch)
+
+
 class Maze(NamedTuple):
     """The shifting maze as a grid, with what is needed to draw and to pay it."""
 
@@ -331,12 +615,26 @@ def _soft_maximum(q: Float[Array, "S A"], temperature: float) -> tuple[Array, Ar
     if temperature > 0:
         # Relative to the best, or the probabilities would inherit the rounding of Q / α.
         advantage = (q - best) / temperature
-        log_total = logsumexp(advantage, axis=1, keepdims=True)
+        log_total = np.log(np.exp(advantage).sum(1, keepdims=True))
         return advantage - log_total, (best + temperature * log_total)[:, 0]
     # What rounding alone has parted is a tie.
     ties = q >= best - _ROUNDING * np.abs(q).max()
     with np.errstate(divide="ignore"):
         return np.log(ties / ties.sum(1, keepdims=True)), best[:, 0]
+
+
+def _accelerated(
+    mdp: MDP, reward: Float[Array, "S A"], temperature: float, value: Float[Array, "S"]
+) -> Solution:
+    """Value iteration from a first guess, each sweep followed by the evaluation of its policy."""
+    for _ in range(1000):
+        q = reward + mdp.discount * mdp.expect(value)
+        log_policy, improved = _soft_maximum(q, temperature)
+        size = max(np.abs(improved).max(), np.abs(q).max())
+        if np.abs(improved - value).max() <= _ROUNDING * size:
+            return Solution(log_policy, improved, q)
+        value = soft_evaluation(mdp, np.exp(log_policy), reward, temperature).value
+    raise ArithmeticError("soft value iteration has not converged in 1000 sweeps")
 
 
 def _backward(mdp: MDP, reward: Float[Array, "S A"], temperature: float, look_ahead) -> Solution:
@@ -361,6 +659,60 @@ def _are_distributions(rows) -> Array:
     return (abs(rows.sum(axis=1) - 1) < 1e-6) & (abs(rows).sum(axis=1) - rows.sum(axis=1) == 0)
 
 
+def _likelihood(
+    mdp: MDP,
+    reward: Float[Array, "S A"],
+    demonstrated: Float[Array, "S A"],
+    temperature: float,
+    form: Form,
+    guess: Float[Array, "S"],
+) -> tuple[float, Float[Array, "S A"], Float[Array, "S"]]:
+    """`log_likelihood`, begun at a guess of V; and V, to be the next guess."""
+    if form == "paths":
+        solution = path_messages(mdp, reward, temperature)
+        visits = path_occupancy(mdp, solution, temperature)
+    elif form == "causal":
+        if mdp.horizon is None:
+            solution = _accelerated(mdp, reward, temperature, guess)
+        else:
+            solution = soft_value_iteration(mdp, reward, temperature)
+        visits = occupancy(mdp, solution.policy)
+    else:
+        raise ValueError(f"form must be 'causal' or 'paths', not {form!r}")
+    first = solution.value if mdp.horizon is None else solution.value[0]
+    value = ((demonstrated * reward).sum() - mdp.initial @ first) / temperature
+    return float(value), (demonstrated - visits) / temperature, first
+
+
+def _log_expectation(mdp: MDP, exponent: Float[Array, "S"]) -> Float[Array, "S A"]:
+    """log E[exp(exponent(s')) | s, a]."""
+    p = mdp.transition
+    terms, first = exponent[p.indices], p.indptr[:-1]
+    best = np.maximum.reduceat(terms, first)
+    sums = np.add.reduceat(p.data * np.exp(terms - np.repeat(best, np.diff(p.indptr))), first)
+    return (best + np.log(sums)).reshape(mdp.num_states, mdp.num_actions)
+
+
+def _draw(probabilities: Float[Array, "N K"], rng: np.random.Generator) -> Int[Array, "N"]:
+    """One index from each row."""
+    total = probabilities.cumsum(1)
+    return (total > rng.random((len(total), 1)) * total[:, -1:]).argmax(1)
+
+
+def _check_paths(mdp: MDP, temperature: float) -> None:
+    if mdp.horizon is None or mdp.discount != 1:
+        raise ValueError(
+            "a distribution over whole paths needs a horizon and discount 1, not horizon "
+            f"{mdp.horizon} and discount {mdp.discount}; form='causal' takes any"
+        )
+    _check_positive(temperature)
+
+
+def _check_positive(temperature: float) -> None:
+    if not 0 < temperature < np.inf:
+        raise ValueError(f"temperature must be above 0 and finite, not {temperature}")
+
+
 def _check_temperature(temperature: float) -> None:
     if not 0 <= temperature < np.inf:
         raise ValueError(f"temperature must be at least 0 and finite, not {temperature}")
@@ -380,3 +732,24 @@ def _checked_policy(mdp: MDP, policy: Array) -> Float[Array, "*T S A"]:
             "not their logarithms)"
         )
     return np.broadcast_to(policy, timed)
+
+
+def _check_demonstrated(mdp: MDP, demonstrated: Float[Array, "S A"]) -> None:
+    """Refuse what no policy of the process can have done."""
+    shape = (mdp.num_states, mdp.num_actions)
+    if demonstrated.shape != shape:
+        raise ValueError(f"demonstrated must have shape {shape}, not {demonstrated.shape}")
+    if not (demonstrated >= 0).all() or demonstrated.sum() == 0:
+        raise ValueError("demonstrated must hold visits: at least 0, and not all 0")
+    reached = mdp.initial > 0
+    for _ in range(mdp.num_states if mdp.horizon is None else mdp.horizon - 1):
+        grown = reached | (mdp.push(np.broadcast_to(reached[:, None], shape)) > 0)
+        if (grown == reached).all():
+            break
+        reached = grown
+    lost = np.flatnonzero((demonstrated > 0).any(1) & ~reached)
+    if len(lost):
+        raise ValueError(
+            f"demonstrations visit {len(lost)} states that no policy reaches from the initial "
+            f"distribution, the first of them {lost[0]}"
+        )
