@@ -3,6 +3,7 @@
 Colours are those of Okabe and Ito (2008).
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -13,10 +14,12 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
+from matplotlib.quiver import Quiver
 
 from offairl_lite.discriminators import Reward
 from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, walls
 from offairl_lite.evaluate import bootstrap_interval, interquartile_mean
+from offairl_lite.tabular import MOVES
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 GREY = "#7f7f7f"
@@ -101,6 +104,41 @@ def reward_map(
     image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)
     maze(ax, side)
     return image
+
+
+def grid(ax: Axes, values: Float[np.ndarray, "S"], side: str) -> AxesImage:
+    """Draw a function of the squares of `tabular.maze`, in their order, over the maze."""
+    cells = math.isqrt(len(values))
+    low, high = walls(side)[:4].min(), walls(side)[:4].max()
+    extent = (low, high, low, high)
+    image = ax.imshow(
+        values.reshape(cells, cells), origin="lower", extent=extent, cmap="cividis", zorder=1
+    )
+    maze(ax, side)
+    return image
+
+
+def arrows(
+    ax: Axes,
+    policy: Float[np.ndarray, "S A"],
+    positions: Float[np.ndarray, "S 2"],
+    color: str = "white",
+) -> Quiver:
+    """Draw the mean move of a policy of `tabular.maze` in each square; the undecided are short."""
+    size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
+    move = 0.9 * size * (policy @ MOVES)
+    return ax.quiver(
+        *positions.T,
+        *move.T,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        pivot="mid",
+        width=0.004,
+        headwidth=4,
+        color=color,
+        zorder=2,
+    )
 
 
 def trajectories(

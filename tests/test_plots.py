@@ -4,7 +4,7 @@ import pytest
 import torch
 from matplotlib.colors import to_hex
 
-from offairl_lite import plots
+from offairl_lite import plots, tabular
 from offairl_lite.discriminators import Reward
 from offairl_lite.envs.models import GOAL
 from offairl_lite.evaluate import bootstrap_interval, interquartile_mean
@@ -70,6 +70,26 @@ def test_a_maze_has_its_walls_its_start_and_its_goal(ax, side):
     barrier = next(w for w in walls if np.allclose(w[:, 1], 0.3))
     np.testing.assert_allclose(sorted(barrier[:, 0]), [-0.1, 0.4] if side == "Left" else [0.2, 0.6])
     np.testing.assert_allclose(ax.lines[1].get_xydata()[0], GOAL[:2])
+
+
+def test_a_grid_shows_every_square_in_its_place(ax):
+    maze = tabular.maze(5, "Right")
+    image = plots.grid(ax, maze.positions[:, 0], "Right")
+    np.testing.assert_allclose(image.get_extent(), [-0.1, 0.6, -0.1, 0.6])
+    # Row and column are y and x, from the bottom left.
+    assert image.origin == "lower"
+    np.testing.assert_allclose(np.asarray(image.get_array())[3], maze.positions[15:20, 0])
+
+
+def test_arrows_are_the_mean_moves(ax):
+    maze = tabular.maze(5, "Left")
+    policy = np.full((25, 5), 0.2)
+    policy[7] = [0, 0.5, 0.5, 0, 0]
+    quiver = plots.arrows(ax, policy, maze.positions)
+    moves = np.stack([quiver.U, quiver.V], 1)
+    np.testing.assert_allclose(moves[7], 0.9 * 0.14 * np.array([0.5, 0.5]))
+    np.testing.assert_allclose(np.delete(moves, 7, 0), 0, atol=1e-15)
+    np.testing.assert_allclose(quiver.get_offsets(), maze.positions)
 
 
 def test_trajectories_are_drawn_each_and_named_once(ax):

@@ -1,5 +1,6 @@
 """SAC, and what SAC and TD3 have in common (`both`)."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -66,6 +67,110 @@ def test_losses_by_hand():
     assert target.tolist() == [[10 + 0.5 * 2, 10]]
     assert critic_loss(q, target).item() == (10**2 + 6**2) / 2 + (9**2 + 7**2) / 2
     assert actor_loss(value, torch.tensor([[1.0, 0.0]])).item() == -(2 + 0) / 2
+
+
+def test_the_temperature_s_loss_by_hand():
+    # α (H - H̄), averaged: entropies of 1 and -3, of which 1 is wanted.
+    log_alpha, log_prob = torch.tensor([[math.log(0.5)]]), torch.tensor([[-1.0, 3.0]])
+    assert temperature_loss(log_alpha, log_prob, 1.0).item() == pytest.approx(0.5 * (0 - 4) / 2)
+
+
+# Networks without hidden layers and with weights of 0 but for some: all can be done on paper.
+BY_HAND = {"hidden": (), "log_std_range": (-1.0, 1.0)}
+LOG_NORMAL_0 = -0.9189385  # log N(0; 0, 1)
+
+
+def constant_policy(learner, mean):
+    """Weights of an actor that has μ (or, without a σ, tanh⁻¹ a) = mean, and σ = 1, everywhere."""
+    params = torch.zeros_like(learner.actor_params)
+    params[:, :ACT] = mean
+    return params.requires_grad_()
+
+
+def linear_critics(learner, biases, slopes):
+    """Weights of critics with Q_j = biases[j] + slopes[j] (a_1 + a_2) everywhere."""
+    params = torch.zeros_like(learner.critic_params)
+    params[..., 0] = torch.tensor(biases).view(2, 1)
+    params[..., -ACT:] = torch.tensor(slopes).view(2, 1, 1)
+    return params
+
+
+@pytest.mark.parametrize(
+    ("action", "log_density"),
+    [
+        (0.0, LOG_NORMAL_0),
+        # u = log(3) / 2 = 0.549306; u² / 2 = 0.150869; log(1 - a²) = log 0.75 = -0.287682
+        (0.5, LOG_NORMAL_0 - 0.150869 + 0.287682),
+        # u = log(19) / 2 = 1.472219; u² / 2 = 1.083715; log 0.19 = -1.660731
+        (-0.9, LOG_NORMAL_0 - 1.083715 + 1.660731),
+    ],
+)
+def test_the_squashed_density_by_hand(action, log_density):
+    learner, (batch, *_) = make(**BY_HAND), data()
+    learner.actor_params = constant_policy(learner, 0.0)
+    batch = batch._replace(pre_tanh=torch.full((2, B, ACT), math.atanh(action)))
+    # Two actions, independent of each other.
+    expected = torch.full((2, B), 2 * log_density)
+    torch.testing.assert_close(learner.log_prob(batch), expected, rtol=0, atol=1e-5)
+
+
+def test_an_update_of_the_critics_by_hand():
+    learner, (batch, _, noise) = make(**BY_HAND), data()
+    learner.actor_params = constant_policy(learner, 0.0)
+    learner.critic_params.detach().copy_(linear_critics(learner, [4.0, 1.0], [0.0, 0.0]))
+    learner.target_params = linear_critics(learner, [3.0, 2.0], [0.0, 0.0])
+    batch = batch._replace(terminated=torch.tensor([0.0, 1.0, 0.0] * 2).expand(2, B))
+    loss = update(learner, batch, torch.ones(2, B), 0 * noise)["critic_loss"]
+    going_on = 1 + 0.99 * (2 - 0.2 * 2 * LOG_NORMAL_0)  # 3.343900
+    assert going_on == pytest.approx(3.343900, abs=1e-6)
+    by_hand = (2 * ((4 - going_on) ** 2 + (1 - going_on) ** 2) + (4 - 1) ** 2 + 0) / 3
+    torch.testing.assert_close(loss, torch.full((2,), by_hand))
+
+
+def test_the_actor_s_gradient_by_hand():
+    """J_π = α log π - Q with log π = c - log σ - Σ log(1 - a²), a = tanh(μ + σε), Q = 2 (a₁ + a₂).
+
+    So dJ/dμ = 2α a - 2 (1 - a²), and dJ/dlog σ = -α + σε dJ/dμ.
+    """
+    learner = make(seeds=(0,), **BY_HAND)
+    params = constant_policy(learner, math.log(3) / 2 - 0.25)
+    noise = torch.full((1, B, ACT), 0.25)  # hence a = 0.5, of which α = 0.2 and 1 - a² = 0.75
+    pre_tanh, log_prob = learner.actor.sample(params, torch.zeros(1, B, OBS), noise)
+    critics = linear_critics(learner, [0.0, 5.0], [2.0, 7.0])
+    q = learner.critic(critics, torch.zeros(1, B, OBS), torch.tanh(pre_tanh))
+    value = soft_value(q, torch.tensor([[0.2]]), log_prob)
+    gradient = torch.autograd.grad(actor_loss(value, torch.ones(1, B)), params)[0][0]
+    by_mean = 2 * 0.2 * 0.5 - 2 * 0.75  # -1.3
+    by_log_std = -0.2 + 0.25 * by_mean
+    # log σ = tanh(raw) within (-1, 1), with slope 1 at raw = 0.
+    expected = torch.tensor([by_mean] * ACT + [by_log_std] * ACT)
+    torch.testing.assert_close(gradient[: 2 * ACT], expected)
+
+
+@pytest.mark.parametrize(("learner", "sign"), [(SAC, -1), (TD3, 1)])
+def test_sac_s_actor_climbs_the_smaller_critic_and_td3_s_the_first(learner, sign):
+    learner = make(learner, actor_delay=1, temperature=1e-6, **BY_HAND)
+    learner.critic_optimizer.learning_rate = 0.0
+    learner.actor_params.detach().copy_(constant_policy(learner, 0.0))
+    # The second is the smaller one, and falls with the action.
+    critics = linear_critics(learner, [0.0, -9.0], [1.0, -1.0])
+    learner.critic_params.detach().copy_(critics)
+    batch, reward, noise = data()
+    update(learner, batch, reward, 0 * noise)
+    # A first step of Adam has the length of the learning rate.
+    moved = torch.full((2, ACT), sign * CONFIG.learning_rate)
+    torch.testing.assert_close(learner.actor_params.detach()[:, :ACT], moved, rtol=1e-4, atol=0)
+
+
+def test_the_temperature_s_first_step_by_hand():
+    """At σ = 1 and u = 0 the entropy is 0.919 an action: more than is wanted, so log α falls."""
+    for wanted, sign in ((2 * 0.9, -1), (2 * 0.95, 1)):
+        learner = make(temperature=None, target_entropy=wanted, actor_delay=1, **BY_HAND)
+        learner.actor_params.detach().copy_(constant_policy(learner, 0.0))
+        batch, reward, noise = data()
+        update(learner, batch, reward, 0 * noise)
+        expected = torch.full((2, 1), math.log(0.2) + sign * CONFIG.learning_rate)
+        torch.testing.assert_close(learner.log_alpha.detach(), expected)
 
 
 def test_losses_are_summed_over_members_and_averaged_over_the_batch():

@@ -1,9 +1,12 @@
 """What TD3 does otherwise than SAC; the rest is in `test_sac.py`."""
 
+import math
+
 import pytest
 import torch
-from test_sac import data, make, update
+from test_sac import BY_HAND, B, constant_policy, data, linear_critics, make, update
 
+from offairl_lite.sac import actor_loss
 from offairl_lite.streams import Streams
 from offairl_lite.td3 import TD3, smoothed_action
 
@@ -21,6 +24,41 @@ from offairl_lite.td3 import TD3, smoothed_action
 def test_smoothing_clips_the_noise_and_then_the_action(action, noise, expected):
     smoothed = smoothed_action(torch.tensor([[[action]]]), torch.tensor([[[noise]]]))
     torch.testing.assert_close(smoothed.item(), expected)
+
+
+@pytest.mark.parametrize(
+    ("noise", "next_value"),
+    [
+        (0.0, 2 * (0.8 + 0.8)),  # tanh of the target actor, and Q₂ is the smaller,
+        (1.0, 2 * (1.0 + 1.0)),  # the action is 0.8 + 0.2 = 1,
+        (9.0, 2 * (1.0 + 1.0)),  # and never more;
+        (-9.0, 2 * (0.3 + 0.3)),  # the noise is never below -0.5.
+    ],
+)
+def test_an_update_of_the_critics_by_hand(noise, next_value):
+    learner, (batch, *_) = make(TD3, **BY_HAND), data()
+    learner.target_actor_params = constant_policy(learner, math.atanh(0.8)).detach()
+    learner.actor_params.detach().copy_(constant_policy(learner, -3.0))  # not asked
+    learner.target_params = linear_critics(learner, [5.0, 0.0], [1.0, 2.0])
+    learner.critic_params.detach().copy_(linear_critics(learner, [4.0, 1.0], [0.0, 0.0]))
+    batch = batch._replace(terminated=torch.tensor([0.0, 1.0, 0.0] * 2).expand(2, B))
+    noises = torch.full((2, 2, B, 2), noise)
+    loss = update(learner, batch, torch.ones(2, B), noises)["critic_loss"]
+    going_on = 1 + 0.99 * next_value
+    by_hand = (2 * ((4 - going_on) ** 2 + (1 - going_on) ** 2) + (4 - 1) ** 2 + 0) / 3
+    torch.testing.assert_close(loss, torch.full((2,), by_hand))
+
+
+def test_the_actor_s_gradient_by_hand():
+    """J_π = -Q₁ with Q₁ = 2 (a₁ + a₂) and a = tanh μ = 0.5: dJ/dμ = -2 (1 - a²) = -1.5."""
+    learner = make(TD3, (0,), **BY_HAND)
+    params, obs = constant_policy(learner, math.log(3) / 2), torch.zeros(1, B, 3)
+    critics = linear_critics(learner, [0.0, -5.0], [2.0, 7.0])
+    value = learner.critic(critics, obs, learner.actor.mode(params, obs))[0]
+    loss = actor_loss(value, torch.ones(1, B))
+    assert loss.item() == pytest.approx(-2)
+    gradient = torch.autograd.grad(loss, params)[0][0]
+    torch.testing.assert_close(gradient[:2], torch.tensor([-1.5, -1.5]))
 
 
 def test_the_critic_s_target_is_that_of_the_equation():
