@@ -81,8 +81,11 @@ class Config:
     primitives: int | None = None
     """SAC-MCP's number of primitives. None: the actor is one squashed Gaussian."""
 
-    primitive_hidden: tuple[int, ...] = (512, 256)
-    """Hidden layers of the primitives' common trunk, ReLU."""
+    trunk_hidden: tuple[int, ...] = (512, 256)
+    """Layers that the primitives have in common, ReLU."""
+
+    primitive_hidden: tuple[int, ...] = (256,)
+    """Hidden layers of each primitive after the trunk, ReLU."""
 
     gate_hidden: tuple[int, ...] = (512, 256, 256)
     """Hidden layers of the gate, ReLU."""

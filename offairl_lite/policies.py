@@ -149,27 +149,34 @@ class MultiplicativeGaussian(SquashedGaussian):
     """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
 
     `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
-    Gaussian again; all else is as with one network. The primitives are heads of one trunk, so that
-    all K are one matrix product; `hidden` are its layers.
+    Gaussian again; all else is as with one network. The primitives grow out of one trunk, whose
+    layers are `hidden`, and all K of them are one stacked product.
 
     Args:
         primitives: K.
-        gate_hidden: hidden layers of the gate.
-        gating: how weights w ≥ 0 are made of the gate's outputs. `softmax`: they add up to 1, and
+        primitive_hidden: hidden layers of each primitive, after the trunk.
+        gate_hidden: hidden layers of the gate, a network of its own.
+        gating: how weights w > 0 are made of the gate's outputs. `softmax`: they add up to 1, and
             one primitive alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself;
             `softplus`: each without an upper bound.
         composition: `released` for the paper's code, see `product_of_gaussians`.
     """
 
     primitives: int = 4
+    primitive_hidden: tuple[int, ...] = (256,)
     gate_hidden: tuple[int, ...] = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
     composition: Literal["exact", "released"] = "exact"
 
     @property
-    def net(self) -> StackedMLP:
-        """The primitives: 2A outputs of each."""
-        return StackedMLP((self.obs_dim, *self.hidden, self.primitives * 2 * self.action_dim))
+    def trunk(self) -> StackedMLP:
+        """What the primitives have in common."""
+        return StackedMLP((self.obs_dim, *self.hidden))
+
+    @property
+    def primitive(self) -> StackedMLP:
+        """One primitive, with 2A outputs."""
+        return StackedMLP((self.hidden[-1], *self.primitive_hidden, 2 * self.action_dim))
 
     @property
     def gate(self) -> StackedMLP:
@@ -178,29 +185,37 @@ class MultiplicativeGaussian(SquashedGaussian):
 
     @property
     def num_params(self) -> int:
-        """P: the primitives' weights, then the gate's."""
-        return self.net.num_params + self.gate.num_params
+        """P: the weights of the trunk, of each primitive, and of the gate."""
+        primitives = self.primitives * self.primitive.num_params
+        return self.trunk.num_params + primitives + self.gate.num_params
 
     def init(self, streams: Streams) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
-        return torch.cat([self.net.init(streams), self.gate.init(streams)], 1)
+        nets = self.trunk, *[self.primitive] * self.primitives, self.gate
+        return torch.cat([net.init(streams) for net in nets], 1)
 
-    def split(self, params: Float[Tensor, "S P"]) -> tuple[Tensor, Tensor]:
-        """Return the weights of the primitives and those of the gate."""
-        primitives, gate = params.split([self.net.num_params, self.gate.num_params], 1)
-        return primitives, gate
+    def split(
+        self, params: Float[Tensor, "S P"]
+    ) -> tuple[Float[Tensor, "S _"], Float[Tensor, "S K _"], Float[Tensor, "S _"]]:
+        """Return the weights of the trunk, of each primitive, and of the gate."""
+        of_trunk, of_gate = self.trunk.num_params, self.gate.num_params
+        trunk, primitives, gate = params.tensor_split([of_trunk, self.num_params - of_gate], 1)
+        return trunk, primitives.unflatten(1, (self.primitives, -1)), gate
 
     def with_fixed_primitives(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S P"]:
         """Return the same weights, of which only the gate's have a gradient."""
-        primitives, gate = self.split(params)
-        return torch.cat([primitives.detach(), gate], 1)
+        *primitives, gate = self.split(params)
+        return torch.cat([*(part.detach().flatten(1) for part in primitives), gate], 1)
 
     def parts(
         self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
     ) -> tuple[Float[Tensor, "S B K A"], Float[Tensor, "S B K A"], Float[Tensor, "S B K"]]:
         """Return each primitive's μ and log σ, and its weight."""
-        primitives, gate = self.split(params)
-        outputs = self.net(primitives, obs).unflatten(-1, (self.primitives, 2 * self.action_dim))
+        trunk, primitives, gate = self.split(params)
+        features = torch.relu(self.trunk(trunk, obs))
+        each = features.repeat_interleave(self.primitives, 0)  # S·K networks, one stack
+        outputs = self.primitive(primitives.flatten(0, 1), each)
+        outputs = outputs.unflatten(0, (-1, self.primitives)).transpose(1, 2)
         mean, raw = outputs.chunk(2, -1)
         logits = self.gate(gate, obs)
         match self.gating:

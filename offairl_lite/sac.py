@@ -81,9 +81,10 @@ class SAC:
         if config.primitives is not None:
             self.actor = MultiplicativeGaussian(
                 *dims,
-                config.primitive_hidden,
+                config.trunk_hidden,
                 config.log_std_range,
                 config.primitives,
+                config.primitive_hidden,
                 config.gate_hidden,
                 config.gating,
                 config.composition,

@@ -124,7 +124,9 @@ def test_gradients_are_finite_differences(pre_tanh):
 
 
 GATINGS = ("softmax", "sigmoid", "softplus")
-PRODUCTS = [MultiplicativeGaussian(3, 2, (7, 5), RANGE, 4, (6,), gating) for gating in GATINGS]
+PRODUCTS = [
+    MultiplicativeGaussian(3, 2, (7, 5), RANGE, 4, (5,), (6,), gating) for gating in GATINGS
+]
 
 
 @pytest.mark.parametrize("actor", [SquashedGaussian(3, 2, (7,)), *PRODUCTS])
@@ -180,7 +182,7 @@ def test_the_deterministic_actor_adds_noise_to_the_action():
 ACTORS = [
     SquashedGaussian(3, 2, (7, 5), (-4.0, 1.0)),
     Deterministic(3, 2, (7,), 0.2),
-    MultiplicativeGaussian(3, 2, (7,), (-4.0, 1.0), 3, (6, 5), "sigmoid", "released"),
+    MultiplicativeGaussian(3, 2, (7,), (-4.0, 1.0), 3, (5,), (6, 5), "sigmoid", "released"),
 ]
 
 
@@ -256,18 +258,19 @@ def test_compositions_by_hand():
 
 
 def test_one_primitive_is_the_plain_actor():
-    plain = SquashedGaussian(3, 2, (7, 5), RANGE)
-    actor = MultiplicativeGaussian(3, 2, (7, 5), RANGE, primitives=1, gate_hidden=(6,))
+    plain = SquashedGaussian(3, 2, (7, 5, 4), RANGE)
+    actor = MultiplicativeGaussian(3, 2, (7, 5), RANGE, 1, (4,), gate_hidden=(6,))
     params = actor.init(Streams((0, 1)))
+    trunk, primitive, _ = actor.split(params)
     obs, noise = (Streams((4, 5)).normal(6, n) for n in (3, 2))
     ours = actor.sample(params, obs, noise)
-    theirs = plain.sample(actor.split(params)[0], obs, noise)
+    theirs = plain.sample(torch.cat([trunk, primitive[:, 0]], 1), obs, noise)
     torch.testing.assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize("gating", GATINGS)
 def test_weights_are_as_the_gating_says(gating):
-    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 5, (6,), gating)
+    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 5, (5,), (6,), gating)
     params, obs = 3 * actor.init(Streams((0, 1))), Streams((4, 5)).normal(100, 3)
     *_, weight = actor.parts(params, obs)
     assert weight.shape == (2, 100, 5)
@@ -277,28 +280,23 @@ def test_weights_are_as_the_gating_says(gating):
     assert (weight.max() > 1) == (gating == "softplus")
 
 
-def test_primitives_are_parts_of_one_network():
-    """Primitive k of the stacked network is the plain actor with the k-th part of its head."""
-    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 4, (6,))
+def test_each_primitive_is_the_plain_actor_with_its_weights():
+    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 4, (5,), (6,))
     params, obs = actor.init(Streams((0, 1))), Streams((4, 5)).normal(6, 3)
     mean, log_std, _ = actor.parts(params, obs)
-    (bias_1, weight_1), (bias_2, weight_2) = actor.net.layers(actor.split(params)[0])
-    plain = SquashedGaussian(3, 2, (7,), RANGE)
+    plain = SquashedGaussian(3, 2, (7, 5), RANGE)
+    trunk, primitives, _ = actor.split(params)
     for k in range(4):
-        of_k = slice(4 * k, 4 * k + 4)
-        parts = bias_1, weight_1, bias_2[..., of_k], weight_2[..., of_k]
-        alone = torch.cat([part.flatten(1) for part in parts], 1)
-        torch.testing.assert_close(
-            (mean[..., k, :], log_std[..., k, :]), plain.distribution(alone, obs)
-        )
+        alone = plain.distribution(torch.cat([trunk, primitives[:, k]], 1), obs)
+        torch.testing.assert_close((mean[..., k, :], log_std[..., k, :]), alone)
 
 
 def test_the_composite_keeps_within_the_bounds_of_a_primitive():
     """Weights near zero would flatten it out, and make it produce anything at all."""
-    actor = MultiplicativeGaussian(1, 1, (), RANGE, 2, (), "sigmoid")
+    actor = MultiplicativeGaussian(1, 1, (1,), RANGE, 2, (), (), "sigmoid")
     for bias in (-200.0, 200.0):
-        gate = torch.tensor([[bias, bias, 0.0, 0.0]])
-        params = torch.cat([torch.zeros(1, actor.net.num_params), gate], 1)
+        params = torch.zeros(1, actor.num_params)
+        params[:, -4:-2] = bias
         _, log_std = actor.distribution(params, torch.zeros(1, 1, 1))
         assert log_std.isfinite().all()
         assert RANGE[0] <= log_std.item() <= RANGE[1]
@@ -312,16 +310,17 @@ def test_gradients_reach_the_gate_and_the_primitives_unless_these_are_fixed(fixe
     assert torch.equal(used, params)
     pre_tanh, log_prob = actor.sample(used, *(Streams((4, 5)).normal(6, n) for n in (3, 2)))
     (gradient,) = torch.autograd.grad(pre_tanh.sum() + log_prob.sum(), params)
-    of_primitives, of_gate = actor.split(gradient)
+    *others, of_gate = actor.split(gradient)
     assert (of_gate != 0).float().mean() > 0.4
-    assert ((of_primitives != 0).float().mean() > 0.4) != fixed
-    assert not (fixed and of_primitives.any())
+    for part in others:
+        assert ((part != 0).float().mean() > 0.4) != fixed
+        assert not (fixed and part.any())
 
 
 @pytest.mark.parametrize("composition", ["exact", "released"])
 @pytest.mark.parametrize("gating", GATINGS)
 def test_gradients_of_compositions_are_finite_differences(gating, composition):
-    actor = MultiplicativeGaussian(2, 2, (3,), RANGE, 3, (3,), gating, composition)
+    actor = MultiplicativeGaussian(2, 2, (3,), RANGE, 3, (3,), (3,), gating, composition)
     params = actor.init(Streams((0, 1))).double().requires_grad_()
     obs, u = (Streams((4, 5)).normal(3, 2).double() for _ in range(2))
     assert torch.autograd.gradcheck(
