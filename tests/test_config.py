@@ -22,6 +22,9 @@ from offairl_lite.config import CORRECTED, PAPER, RELEASE, Config, differences
         ({"temperature": 0.0}, "temperature is 0.0"),
         ({"total_steps": 100, "warmup_steps": 101}, "warmup_steps is 101, total_steps 100"),
         ({"generator": "td3"}, "needs log π"),
+        ({"primitives": 0}, "primitives is 0"),
+        ({"primitives": 4, "generator": "td3", "reward": "dac"}, "primitives=4.*'td3'"),
+        ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
     ]
@@ -70,6 +73,7 @@ def test_presets_are_those_of_the_paper_and_its_code():
         "temperature": None,
         "log_std_range": (-20.0, 2.0),
         "log_density": "released",
+        "composition": "released",
         "policy_in_logit": False,
         "discriminator_discount": 0.9,
         "reward_hidden": (256, 256),
