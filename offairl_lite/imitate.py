@@ -2,7 +2,8 @@
 
 Collect an episode; train the discriminator once for each of its steps; then the generator as
 often, on the reward as it now stands. With the task's own reward, or a frozen one, the
-discriminator's part falls away and the rest is the same.
+discriminator's part falls away and the rest is the same. So it is with PPO, but that it learns from
+the block of steps just taken, where the others learn from replay.
 """
 
 import warnings
@@ -25,8 +26,8 @@ from offairl_lite.evaluate import Episodes, rollout
 from offairl_lite.execution import Execution
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy, unsquash
-from offairl_lite.replay import Batch, Replay
-from offairl_lite.rewards import IMPLEMENTATIONS
+from offairl_lite.ppo import PPO
+from offairl_lite.replay import Batch, Replay, choose
 from offairl_lite.sac import SAC
 from offairl_lite.streams import Streams
 from offairl_lite.td3 import TD3
@@ -143,7 +144,8 @@ class Trainer:
         self.demonstrations = None
         if demonstrations is not None:
             self.demonstrations = self._rewritten(demonstrations.transitions)
-        self.generator: SAC | TD3 | None = None
+        self.horizon = self._horizon(demonstrations)
+        self.generator: SAC | TD3 | PPO | None = None
         self.discriminator: Discriminator | None = None
         self.steps, self.episodes = 0, torch.zeros(len(seeds), dtype=torch.long)
         # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
@@ -197,9 +199,32 @@ class Trainer:
                     self.block_start = self.steps
                 if self.steps == self.config.warmup_steps:
                     self._build(self._normaliser())
+                    if self.config.generator == "ppo":
+                        self.owed.clear()
+                        self.block_start = self.steps
         return []
 
+    def _horizon(self, demonstrations: Demonstrations | None) -> int:
+        """Return how many steps the discriminator judges together."""
+        if self.config.reward != "gan-gcl":
+            return 1
+        lengths, config = set(demonstrations.lengths), self.config
+        multiples = config.warmup_steps, config.update_every, config.replay_size
+        if len(lengths) > 1 or any(n % min(lengths) for n in multiples):
+            raise ValueError(
+                "gan-gcl compares whole episodes of one length: the demonstrations have "
+                f"{min(lengths)} to {max(lengths)} steps, and warmup_steps, update_every and "
+                f"replay_size, {multiples}, must be multiples of that"
+            )
+        return lengths.pop()
+
     def _block_ends(self, done: np.ndarray) -> bool:
+        if self.horizon > 1 and (done != (self.steps % self.horizon == 0)).any():
+            raise ValueError(
+                f"gan-gcl compares whole episodes of one length, {self.horizon} as demonstrated, "
+                f"and {self.config.env_id} has ended one elsewhere or not there: choose another "
+                "reward"
+            )
         if self.config.update_every is not None:
             return self.steps - self.block_start == self.config.update_every
         if done.any() and not done.all():
@@ -271,11 +296,13 @@ class Trainer:
         """Make the learners, once it is known how to scale their inputs."""
         config = self.config
         dims = self.obs_dim, self.action_dim
-        learner = SAC if config.generator == "sac" else TD3
-        self.generator = learner(config, *dims, self.streams, normaliser)
+        learners = {"sac": SAC, "td3": TD3, "ppo": PPO}
+        self.generator = learners[config.generator](config, *dims, self.streams, normaliser)
         self.generator.step = self.execution.accelerate(self.generator.step)
         if config.learns_reward:
-            self.discriminator = Discriminator(config, *dims, self.streams, normaliser)
+            self.discriminator = Discriminator(
+                config, *dims, self.streams, normaliser, self.horizon
+            )
             self.discriminator.step = self.execution.accelerate(self.discriminator.step)
 
     def _normaliser(self) -> Normaliser:
@@ -297,37 +324,42 @@ class Trainer:
         return Normaliser(*map(torch.cat, zip(*members, strict=True)))
 
     def train(self, updates: int) -> None:
-        """Train the discriminator `updates` times, then the generator as often, from replay."""
+        """Train the discriminator `updates` times, then the generator as often, from replay.
+
+        PPO goes through the last `updates` steps instead.
+        """
         if self.discriminator is not None:
-            for minibatches in _chunks(updates):
+            for minibatches in _chunks(self.config.discriminator_updates or updates):
                 self._train_discriminator(minibatches)
         # The reward stays as it is while the generator trains, log π within it too.
         actor_params = self.generator.actor_params.detach().clone()
-        for minibatches in _chunks(updates):
-            self._train_generator(minibatches, actor_params)
+        if self.config.generator == "ppo":
+            self._train_on_policy(self.replay.last(updates), actor_params)
+        else:
+            for minibatches in _chunks(updates):
+                self._train_generator(minibatches, actor_params)
         for name, weights in self._learned().items():
             self._give_up(name, ~weights.isfinite().all(-1))
 
     def _train_discriminator(self, minibatches: int) -> None:
-        count = minibatches * self.config.batch_size
+        size = max(self.config.batch_size // self.horizon, 1) * self.horizon
+        count = minibatches * size
         rows = [len(self.demonstrations.obs)] * len(self.seeds)
-        index = self.streams.integers(rows, count)
+        index = choose(self.streams, rows, count, self.horizon)
         expert = Batch(*(part[index] for part in self.demonstrations))
-        policy = self.replay.sample(self.streams, count)
+        policy = self.replay.sample(self.streams, count, self.horizon)
         coefficient = self.streams.uniform(count, 4)
-        if self.discriminator.is_airl:
+        if self.discriminator.sees_policy:
             log_probs = [self.generator.log_prob(side) for side in (expert, policy)]
-            expert_log_prob, policy_log_prob = (
-                x.split(self.config.batch_size, 1) for x in log_probs
-            )
+            expert_log_prob, policy_log_prob = (x.split(size, 1) for x in log_probs)
         else:
             expert_log_prob = policy_log_prob = [None] * minibatches
         for minibatch in zip(
-            expert.split(self.config.batch_size),
-            policy.split(self.config.batch_size),
+            expert.split(size),
+            policy.split(size),
             expert_log_prob,
             policy_log_prob,
-            coefficient.split(self.config.batch_size, 1),
+            coefficient.split(size, 1),
             strict=True,
         ):
             metrics = self.discriminator.update(*minibatch)
@@ -345,13 +377,23 @@ class Trainer:
             metrics = self.generator.update(minibatch, r, absorbing_reward, eps)
         self.metrics.update(metrics)
 
+    def _train_on_policy(self, block: Batch, actor_params: Float[Tensor, "S P"]) -> None:
+        rollout = self.generator.rollout(block, self._reward(block, actor_params))
+        steps, size = rollout.advantage.shape[1], self.config.batch_size
+        for _ in range(self.config.epochs):
+            order = self.streams.uniform(steps).argsort(1)
+            noise = self.streams.normal(steps, self.action_dim)
+            for index, eps in zip(order.split(size, 1), noise.split(size, 1), strict=True):
+                metrics = self.generator.update(rollout.rows(index), eps)
+        self.metrics.update(metrics)
+
     def _reward(self, batch: Batch, actor_params: Float[Tensor, "S P"]) -> Float[Tensor, "S B"]:
         name = self.config.reward
         if name == "environment":
             reward = batch.reward
         elif name == "frozen":
             reward = self.frozen_reward(batch.obs, batch.action)
-        elif name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].reward_is_logit:
+        elif self.discriminator.reward_is_logit:
             reward = self.discriminator.reward(batch, self.generator.log_prob(batch, actor_params))
         else:
             reward = self.discriminator.reward(batch, None)
@@ -413,6 +455,7 @@ class Trainer:
     def _learned(self) -> dict[str, Float[Tensor, "S P"]]:
         """Return all weights that are trained, a row for each member."""
         critics = self.generator.critic_params.detach()
+        critics = critics.view(-1, *critics.shape[-2:])  # two of SAC and TD3, one of PPO
         tensors = {"actor": self.generator.actor_params.detach(), "critic": critics.sum(0)}
         if self.discriminator is not None:
             tensors["reward"] = self.discriminator.reward_params.detach()
