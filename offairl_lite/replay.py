@@ -150,7 +150,7 @@ class Replay:
         sizes, (slots, population, width) = self.sizes, self.rows.shape
         if min(sizes) < horizon:
             raise ValueError(
-                f"a member's replay is empty, or holds no whole episode (sizes {sizes}): add to it"
+                f"a member's replay is empty (sizes {sizes}) or has no whole episode: add to it"
             )
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
         slot = (oldest + choose(streams, sizes, count, horizon).cpu()) % slots

@@ -192,6 +192,7 @@ KILLED = {
     "bootstrapped": {**HOP, "reward": "implementation-1", "absorbing": "bootstrap"},
     "analytic": {**HOP, "reward": "dac", "absorbing": "analytic", "temperature": None},
     "pendulum": {"env_id": "Pendulum-v1", "reward": "environment", "update_every": 50},
+    "gail and ppo": {**HOP, "reward": "gail-survival", "generator": "ppo"},
 }
 
 
