@@ -24,6 +24,10 @@ CLIP = 0.2
 GAE_DECAY = 0.95
 """λ of generalised advantage estimation."""
 
+FIRST_SCALE = 0.01
+"""Factor on the actor's last layer when it is drawn, so that the first actions have no preference
+(Andrychowicz et al. 2021, section 3.2)."""
+
 
 def episode_ends(
     obs: Float[Tensor, "S T O"], next_obs: Float[Tensor, "S T O"]
@@ -115,6 +119,8 @@ class PPO:
         self.critic = StackedMLP((obs_dim, *config.hidden, 1))
         self.actor_params = self.actor.init(streams)
         self.critic_params = self.critic.init(streams)
+        for last in self.actor.net.layers(self.actor_params)[-1]:
+            last *= FIRST_SCALE
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         self.step = self._step
