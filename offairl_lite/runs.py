@@ -110,7 +110,8 @@ def create(
             "for a new one choose another --out"
         )
     # Made so that what does not fit is refused before anything is written.
-    Trainer(replace(config, replay_size=1), seeds, demonstrations, reward, execution=execution)
+    small = replace(config, replay_size=config.update_every or 1)
+    Trainer(small, seeds, demonstrations, reward, execution=execution)
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
     if demonstrations is not None:
