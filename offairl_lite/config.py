@@ -94,6 +94,27 @@ class Config:
     log_std_range: tuple[float, float] = (-5.0, 2.0)
     """Bounds of the actor's log σ, approached smoothly."""
 
+    primitives: int | None = None
+    """SAC-MCP's number of primitives. None: the actor is one squashed Gaussian."""
+
+    trunk_hidden: tuple[int, ...] = (512, 256)
+    """Layers that the primitives have in common, ReLU."""
+
+    primitive_hidden: tuple[int, ...] = (256,)
+    """Hidden layers of each primitive after the trunk, ReLU."""
+
+    gate_hidden: tuple[int, ...] = (512, 256, 256)
+    """Hidden layers of the gate, ReLU."""
+
+    gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
+    """How the gate's outputs become weights: adding up to 1, each in (0, 1), or each positive."""
+
+    composition: Literal["exact", "released"] = "exact"
+    """The product of Gaussians; `released`: with standard deviations in the place of variances."""
+
+    fixed_primitives: bool = False
+    """Whether only the gate of the actor learns."""
+
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
 
@@ -153,7 +174,7 @@ class Config:
         for name in ("discount", "discriminator_discount", "target_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
-        for name in ("update_every", "temperature", "discriminator_updates"):
+        for name in ("update_every", "temperature", "discriminator_updates", "primitives"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value!r}; expected a positive number or None")
@@ -176,6 +197,13 @@ class Config:
             raise ValueError(
                 "reward 'gan-gcl' is for whole episodes of the present policy: use generator='ppo'"
             )
+        if self.primitives is not None and self.generator != "sac":
+            raise ValueError(
+                f"primitives={self.primitives} are a form of SAC's actor, and the generator is "
+                f"{self.generator!r}: use generator='sac'"
+            )
+        if self.fixed_primitives and self.primitives is None:
+            raise ValueError("fixed_primitives=True, and there are none: set primitives")
         if self.absorbing != "none" and self.reward == "environment":
             raise ValueError(
                 f"absorbing={self.absorbing!r} is for learned rewards; the task's own reward is "
@@ -228,6 +256,7 @@ RELEASE = Config(
     temperature=None,
     log_std_range=(-20.0, 2.0),
     log_density="released",
+    composition="released",
     policy_in_logit=False,
     discriminator_discount=0.9,
     reward_hidden=(256, 256),

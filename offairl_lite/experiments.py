@@ -50,6 +50,17 @@ MAZE_DEMO = replace(
 )
 
 
+# Actors of SAC-MCP: how many primitives, and the gate's kind. Compare what has one kind of gate.
+_ACTORS = {
+    "plain": {},
+    "4-softmax": {"primitives": 4},
+    "8-softmax": {"primitives": 8},
+    "4-sigmoid": {"primitives": 4, "gating": "sigmoid"},
+    "8-sigmoid": {"primitives": 8, "gating": "sigmoid"},
+    "4-released": {"primitives": 4, "gating": "sigmoid", "composition": "released"},
+}
+
+
 def _both(demo: dict, full: dict, **common) -> Mapping[Scale, Config]:
     return {
         "demo": replace(MAZE_DEMO, **common, **demo),
@@ -156,6 +167,12 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "Off-policy AIRL, Implementation 4, from demonstrations of PointMazeLeft",
         _both({}, {}),
         SEEDS,
+    ),
+    "maze-mcp": Experiment(
+        "Off-policy AIRL on PointMazeLeft with actors of several primitives: 6 runs",
+        _both({"trunk_hidden": (64,), "primitive_hidden": (64,), "gate_hidden": (64, 64)}, {}),
+        SEEDS,
+        variants=_ACTORS,
     ),
     "maze-transfer": Experiment(
         "SAC from scratch on PointMazeRight, paid by the reward that was learned on PointMazeLeft",

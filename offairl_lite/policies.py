@@ -1,4 +1,4 @@
-"""Policies: the squashed Gaussian with its exact density, and the deterministic one.
+"""Policies: the squashed Gaussian with its exact density, products of such, the deterministic one.
 
 Actions lie in (-1, 1). A policy works with `pre_tanh`, the number whose tanh is the action: the
 density of an action that has been rounded to ±1 is lost, that of its `pre_tanh` is not.
@@ -60,6 +60,11 @@ class SquashedGaussian:
         """The network, with 2A outputs."""
         return StackedMLP((self.obs_dim, *self.hidden, 2 * self.action_dim))
 
+    @property
+    def num_params(self) -> int:
+        """P."""
+        return self.net.num_params
+
     def init(self, streams: Streams) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
         return self.net.init(streams)
@@ -69,8 +74,11 @@ class SquashedGaussian:
     ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
         """Return μ and log σ of `pre_tanh`."""
         mean, raw = self.net(params, obs).chunk(2, -1)
+        return mean, self._log_std(raw)
+
+    def _log_std(self, raw: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
         low, high = self.log_std_range
-        return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
+        return low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
 
     def sample(
         self,
@@ -118,6 +126,115 @@ class SquashedGaussian:
         return torch.tanh(self.distribution(params, obs)[0])
 
 
+def product_of_gaussians(
+    mean: Float[Tensor, "... K A"],
+    log_std: Float[Tensor, "... K A"],
+    weight: Float[Tensor, "... K"],
+    composition: Literal["exact", "released"] = "exact",
+) -> tuple[Float[Tensor, "... A"], Float[Tensor, "... A"]]:
+    """Return μ and log σ of the density proportional to ∏ N(μ_i, σ_i²)^w_i.
+
+    Precisions add up, each times its exponent: 1/σ² = Σ w_i/σ_i², μ = σ² Σ μ_i w_i/σ_i² (Peng et
+    al. 2019, equation 8, where the letter σ stands for variances). `released` is what the paper's
+    code computes in its place: standard deviations where variances belong.
+    """
+    power = 2 if composition == "exact" else 1
+    precision = weight.unsqueeze(-1) * torch.exp(-power * log_std)
+    total = precision.sum(-2)
+    return (precision * mean).sum(-2) / total, -total.log() / power
+
+
+@dataclass(frozen=True)
+class MultiplicativeGaussian(SquashedGaussian):
+    """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
+
+    `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
+    Gaussian again; all else is as with one network. The primitives grow out of one trunk, whose
+    layers are `hidden`, and all K of them are one stacked product.
+
+    Args:
+        primitives: K.
+        primitive_hidden: hidden layers of each primitive, after the trunk.
+        gate_hidden: hidden layers of the gate, a network of its own.
+        gating: how weights w > 0 are made of the gate's outputs. `softmax`: they add up to 1, and
+            one primitive alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself;
+            `softplus`: each without an upper bound.
+        composition: `released` for the paper's code, see `product_of_gaussians`.
+    """
+
+    primitives: int = 4
+    primitive_hidden: tuple[int, ...] = (256,)
+    gate_hidden: tuple[int, ...] = (512, 256, 256)
+    gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
+    composition: Literal["exact", "released"] = "exact"
+
+    @property
+    def trunk(self) -> StackedMLP:
+        """What the primitives have in common."""
+        return StackedMLP((self.obs_dim, *self.hidden))
+
+    @property
+    def primitive(self) -> StackedMLP:
+        """One primitive, with 2A outputs."""
+        return StackedMLP((self.hidden[-1], *self.primitive_hidden, 2 * self.action_dim))
+
+    @property
+    def gate(self) -> StackedMLP:
+        """The gate's network, with K outputs."""
+        return StackedMLP((self.obs_dim, *self.gate_hidden, self.primitives))
+
+    @property
+    def num_params(self) -> int:
+        """P: the weights of the trunk, of each primitive, and of the gate."""
+        primitives = self.primitives * self.primitive.num_params
+        return self.trunk.num_params + primitives + self.gate.num_params
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw the weights of a population."""
+        nets = self.trunk, *[self.primitive] * self.primitives, self.gate
+        return torch.cat([net.init(streams) for net in nets], 1)
+
+    def split(
+        self, params: Float[Tensor, "S P"]
+    ) -> tuple[Float[Tensor, "S _"], Float[Tensor, "S K _"], Float[Tensor, "S _"]]:
+        """Return the weights of the trunk, of each primitive, and of the gate."""
+        of_trunk, of_gate = self.trunk.num_params, self.gate.num_params
+        trunk, primitives, gate = params.tensor_split([of_trunk, self.num_params - of_gate], 1)
+        return trunk, primitives.unflatten(1, (self.primitives, -1)), gate
+
+    def with_fixed_primitives(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S P"]:
+        """Return the same weights, of which only the gate's have a gradient."""
+        *primitives, gate = self.split(params)
+        return torch.cat([*(part.detach().flatten(1) for part in primitives), gate], 1)
+
+    def parts(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B K A"], Float[Tensor, "S B K A"], Float[Tensor, "S B K"]]:
+        """Return each primitive's μ and log σ, and its weight."""
+        trunk, primitives, gate = self.split(params)
+        features = torch.relu(self.trunk(trunk, obs))
+        each = features.repeat_interleave(self.primitives, 0)  # S·K networks, one stack
+        outputs = self.primitive(primitives.flatten(0, 1), each)
+        outputs = outputs.unflatten(0, (-1, self.primitives)).transpose(1, 2)
+        mean, raw = outputs.chunk(2, -1)
+        logits = self.gate(gate, obs)
+        match self.gating:
+            case "softmax":
+                weight = torch.softmax(logits, -1)
+            case "sigmoid":
+                weight = torch.sigmoid(logits)
+            case "softplus":
+                weight = softplus(logits)
+        return mean, self._log_std(raw), weight
+
+    def distribution(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+        """Return μ and log σ of `pre_tanh`, σ no wider or narrower than a primitive's may be."""
+        mean, log_std = product_of_gaussians(*self.parts(params, obs), self.composition)
+        return mean, log_std.clamp(*self.log_std_range)
+
+
 @dataclass(frozen=True)
 class Deterministic:
     """TD3's actor: a = tanh(μ(s)), and Gaussian noise on the action to explore.
@@ -139,6 +256,11 @@ class Deterministic:
         """The network, with A outputs."""
         return StackedMLP((self.obs_dim, *self.hidden, self.action_dim))
 
+    @property
+    def num_params(self) -> int:
+        """P."""
+        return self.net.num_params
+
     def init(self, streams: Streams) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
         return self.net.init(streams)
@@ -159,8 +281,10 @@ class Deterministic:
         return torch.tanh(self.net(params, obs))
 
 
-Actor = SquashedGaussian | Deterministic
-_ACTORS = {kind.__name__: kind for kind in (SquashedGaussian, Deterministic)}
+Actor = SquashedGaussian | MultiplicativeGaussian | Deterministic
+_ACTORS = {
+    kind.__name__: kind for kind in (SquashedGaussian, MultiplicativeGaussian, Deterministic)
+}
 
 
 @dataclass(frozen=True)
@@ -218,9 +342,9 @@ class Policy:
         tensors, about = load_weights(path, "policy")
         shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
         actor = _ACTORS[shape.pop("name")](**shape)
-        params = tensors["params"]
-        if params.shape[1:] != (actor.net.num_params,):
+        params = tensors["params"].float()  # Shipped experts' may be in half precision.
+        if params.shape[1:] != (actor.num_params,):
             raise ValueError(
-                f"{path}: weights {tuple(params.shape)}, expected (S, {actor.net.num_params})"
+                f"{path}: weights {tuple(params.shape)}, expected (S, {actor.num_params})"
             )
         return cls(about["env_id"], actor, params, Normaliser(tensors["mean"], tensors["std"]))

@@ -15,7 +15,7 @@ from torch import Tensor
 from offairl_lite.absorbing import analytic_return, is_absorbing
 from offairl_lite.config import Config
 from offairl_lite.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
-from offairl_lite.policies import Policy, SquashedGaussian
+from offairl_lite.policies import MultiplicativeGaussian, Policy, SquashedGaussian
 from offairl_lite.replay import Batch
 from offairl_lite.streams import Streams
 
@@ -76,7 +76,19 @@ class SAC:
         normaliser: Normaliser,
     ) -> None:
         self.config, self.normaliser = config, normaliser
-        self.actor = SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
+        dims = obs_dim, action_dim
+        self.actor = SquashedGaussian(*dims, config.hidden, config.log_std_range)
+        if config.primitives is not None:
+            self.actor = MultiplicativeGaussian(
+                *dims,
+                config.trunk_hidden,
+                config.log_std_range,
+                config.primitives,
+                config.primitive_hidden,
+                config.gate_hidden,
+                config.gating,
+                config.composition,
+            )
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
         self.actor_params = self.actor.init(streams)
         self.critic_params = self.critic.init(streams)
@@ -165,7 +177,10 @@ class SAC:
             "temperature": self.log_alpha.detach().exp().squeeze(-1),
         }
         if delayed:
-            pre_tanh, log_prob = self.actor.sample(self.actor_params, obs, noise[1])
+            params = self.actor_params
+            if config.fixed_primitives:
+                params = self.actor.with_fixed_primitives(params)
+            pre_tanh, log_prob = self.actor.sample(params, obs, noise[1])
             q = self.critic(self.critic_params.detach(), obs, torch.tanh(pre_tanh))
             value = soft_value(q, self.log_alpha.detach().exp(), log_prob)
             weight = torch.ones_like(value)

@@ -204,7 +204,7 @@ def _points(
         if only and variant not in only:
             continue
         own = replace(config, **changes)
-        some = grid(own, **values) if values or not changes else {"": own}
+        some = grid(own, **values) if values or not variant else {"": own}
         points |= {",".join(filter(None, (variant, name))): p for name, p in some.items()}
     return points
 

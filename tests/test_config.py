@@ -31,6 +31,9 @@ PPO = {"generator": "ppo", "update_every": 100}
         (PPO | {"temperature": None}, "temperature is None, and ppo"),
         (PPO | {"absorbing": "bootstrap"}, "absorbing='bootstrap' is not for ppo"),
         ({"discriminator_updates": 0}, "discriminator_updates is 0"),
+        ({"primitives": 0}, "primitives is 0"),
+        ({"primitives": 4, "generator": "td3", "reward": "dac"}, "primitives=4.*'td3'"),
+        ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
     ]
@@ -87,6 +90,7 @@ def test_presets_are_those_of_the_paper_and_its_code():
         "temperature": None,
         "log_std_range": (-20.0, 2.0),
         "log_density": "released",
+        "composition": "released",
         "policy_in_logit": False,
         "discriminator_discount": 0.9,
         "reward_hidden": (256, 256),

@@ -11,9 +11,11 @@ from offairl_lite.networks import Normaliser
 from offairl_lite.policies import (
     MAX_ACTION,
     Deterministic,
+    MultiplicativeGaussian,
     Policy,
     SquashedGaussian,
     log_tanh_slope,
+    product_of_gaussians,
     unsquash,
 )
 from offairl_lite.streams import Streams
@@ -121,8 +123,14 @@ def test_gradients_are_finite_differences(pre_tanh):
     )
 
 
-def test_a_sample_comes_with_its_own_log_prob():
-    actor = SquashedGaussian(3, 2, (7,))
+GATINGS = ("softmax", "sigmoid", "softplus")
+PRODUCTS = [
+    MultiplicativeGaussian(3, 2, (7, 5), RANGE, 4, (5,), (6,), gating) for gating in GATINGS
+]
+
+
+@pytest.mark.parametrize("actor", [SquashedGaussian(3, 2, (7,)), *PRODUCTS])
+def test_a_sample_comes_with_its_own_log_prob(actor):
     params = actor.init(Streams((0, 1))).double()
     obs, noise = (Streams((4, 5)).normal(6, n).double() for n in (3, 2))
     # Far out as well: 30 σ.
@@ -171,7 +179,11 @@ def test_the_deterministic_actor_adds_noise_to_the_action():
     torch.testing.assert_close(torch.tanh(pre_tanh), expected, atol=1e-6, rtol=0)
 
 
-ACTORS = [SquashedGaussian(3, 2, (7, 5), (-4.0, 1.0)), Deterministic(3, 2, (7,), 0.2)]
+ACTORS = [
+    SquashedGaussian(3, 2, (7, 5), (-4.0, 1.0)),
+    Deterministic(3, 2, (7,), 0.2),
+    MultiplicativeGaussian(3, 2, (7,), (-4.0, 1.0), 3, (5,), (6, 5), "sigmoid", "released"),
+]
 
 
 def population(actor):
@@ -205,3 +217,112 @@ def test_members_can_be_taken_out():
     assert len(alone) == 1
     torch.testing.assert_close(alone.act(obs[1:]), policy.act(obs)[1:])
     torch.testing.assert_close(policy.member(1, 0).act(obs.flip(0)), policy.act(obs).flip(0))
+
+
+def primitives(count, seed, actions=1):
+    """μ, log σ and weights of one state."""
+    rng = torch.Generator().manual_seed(seed)
+    shape = count, actions
+    mean, log_std = (torch.randn(shape, generator=rng, dtype=torch.float64) for _ in range(2))
+    return mean, log_std / 2, 2 * torch.rand(count, generator=rng, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 8])
+def test_the_composition_is_the_normalised_product_of_the_primitives(count):
+    mean, log_std, weight = primitives(count, seed=count)
+    mu, log_sigma = product_of_gaussians(mean, log_std, weight)
+    sigma = log_sigma.exp().item()
+
+    def log_product(u):
+        parts = scipy.stats.norm.logpdf(u, mean[:, 0], log_std[:, 0].exp())
+        return (weight.numpy() * parts).sum()
+
+    reach = mu.item() - 12 * sigma, mu.item() + 12 * sigma
+    at_mean = log_product(mu.item())
+    total = scipy.integrate.quad(lambda u: math.exp(log_product(u) - at_mean), *reach)[0]
+    for u in np.linspace(mu.item() - 4 * sigma, mu.item() + 4 * sigma, 9):
+        expected = math.exp(log_product(u) - at_mean) / total
+        assert scipy.stats.norm.pdf(u, mu.item(), sigma) == pytest.approx(expected, rel=1e-9)
+
+
+def test_compositions_by_hand():
+    mean, std = torch.tensor([[0.0], [1.0]]), torch.tensor([[1.0], [0.5]])
+    weight = torch.tensor([1.0, 0.5])
+    # Precisions 1 and 0.5 · 4; as released 1 and 0.5 · 2.
+    mu, log_sigma = product_of_gaussians(mean, std.log(), weight)
+    assert mu.item() == pytest.approx(2 / 3)
+    assert log_sigma.exp().item() == pytest.approx(3**-0.5)
+    mu, log_sigma = product_of_gaussians(mean, std.log(), weight, "released")
+    assert mu.item() == pytest.approx(1 / 2)
+    assert log_sigma.exp().item() == pytest.approx(1 / 2)
+
+
+def test_one_primitive_is_the_plain_actor():
+    plain = SquashedGaussian(3, 2, (7, 5, 4), RANGE)
+    actor = MultiplicativeGaussian(3, 2, (7, 5), RANGE, 1, (4,), gate_hidden=(6,))
+    params = actor.init(Streams((0, 1)))
+    trunk, primitive, _ = actor.split(params)
+    obs, noise = (Streams((4, 5)).normal(6, n) for n in (3, 2))
+    ours = actor.sample(params, obs, noise)
+    theirs = plain.sample(torch.cat([trunk, primitive[:, 0]], 1), obs, noise)
+    torch.testing.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize("gating", GATINGS)
+def test_weights_are_as_the_gating_says(gating):
+    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 5, (5,), (6,), gating)
+    params, obs = 3 * actor.init(Streams((0, 1))), Streams((4, 5)).normal(100, 3)
+    *_, weight = actor.parts(params, obs)
+    assert weight.shape == (2, 100, 5)
+    assert (weight > 0).all()
+    sums = weight.sum(-1)
+    assert (gating == "softmax") == bool(((sums - 1).abs() < 1e-5).all())
+    assert (weight.max() > 1) == (gating == "softplus")
+
+
+def test_each_primitive_is_the_plain_actor_with_its_weights():
+    actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 4, (5,), (6,))
+    params, obs = actor.init(Streams((0, 1))), Streams((4, 5)).normal(6, 3)
+    mean, log_std, _ = actor.parts(params, obs)
+    plain = SquashedGaussian(3, 2, (7, 5), RANGE)
+    trunk, primitives, _ = actor.split(params)
+    for k in range(4):
+        alone = plain.distribution(torch.cat([trunk, primitives[:, k]], 1), obs)
+        torch.testing.assert_close((mean[..., k, :], log_std[..., k, :]), alone)
+
+
+def test_the_composite_keeps_within_the_bounds_of_a_primitive():
+    """Weights near zero would flatten it out, and make it produce anything at all."""
+    actor = MultiplicativeGaussian(1, 1, (1,), RANGE, 2, (), (), "sigmoid")
+    for bias in (-200.0, 200.0):
+        params = torch.zeros(1, actor.num_params)
+        params[:, -4:-2] = bias
+        _, log_std = actor.distribution(params, torch.zeros(1, 1, 1))
+        assert log_std.isfinite().all()
+        assert RANGE[0] <= log_std.item() <= RANGE[1]
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_gradients_reach_the_gate_and_the_primitives_unless_these_are_fixed(fixed):
+    actor = PRODUCTS[0]
+    params = actor.init(Streams((0, 1))).requires_grad_()
+    used = actor.with_fixed_primitives(params) if fixed else params
+    assert torch.equal(used, params)
+    pre_tanh, log_prob = actor.sample(used, *(Streams((4, 5)).normal(6, n) for n in (3, 2)))
+    (gradient,) = torch.autograd.grad(pre_tanh.sum() + log_prob.sum(), params)
+    *others, of_gate = actor.split(gradient)
+    assert (of_gate != 0).float().mean() > 0.4
+    for part in others:
+        assert ((part != 0).float().mean() > 0.4) != fixed
+        assert not (fixed and part.any())
+
+
+@pytest.mark.parametrize("composition", ["exact", "released"])
+@pytest.mark.parametrize("gating", GATINGS)
+def test_gradients_of_compositions_are_finite_differences(gating, composition):
+    actor = MultiplicativeGaussian(2, 2, (3,), RANGE, 3, (3,), (3,), gating, composition)
+    params = actor.init(Streams((0, 1))).double().requires_grad_()
+    obs, u = (Streams((4, 5)).normal(3, 2).double() for _ in range(2))
+    assert torch.autograd.gradcheck(
+        lambda p, u: actor.log_prob(p, obs, u), (params, u.requires_grad_()), rtol=1e-4
+    )

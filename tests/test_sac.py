@@ -315,3 +315,30 @@ def test_the_temperature_does_not_look_at_the_absorbing_state(there):
     for _ in range(config.actor_delay):
         sac.update(batch, zero, zero[:, :1], streams.normal(2, 6, 2).transpose(0, 1))
     assert (sac.log_alpha.item() == before) == there
+
+
+MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_of_a_composite_actor_all_learns_or_only_the_gate(fixed):
+    learner = make(**MCP, fixed_primitives=fixed, actor_delay=1)
+    before = learner.actor_params.detach().clone()
+    for _ in range(3):
+        update(learner, *data())
+    moved = learner.actor_params.detach() - before
+    *others, of_gate = (part.flatten(1) for part in learner.actor.split(moved))
+    assert of_gate.any(1).all()
+    for part in others:
+        assert part.any(1).all() != fixed
+        assert not (fixed and part.any())
+
+
+def test_composite_actors_are_trained_together_as_alone():
+    together, alone = make(**MCP), [make(seeds=(seed,), **MCP) for seed in (0, 1)]
+    for _ in range(4):
+        update(together, *data())
+        for seed, learner in enumerate(alone):
+            update(learner, *data(seeds=(seed,)))
+    expected = torch.cat([weights(learner) for learner in alone])
+    torch.testing.assert_close(weights(together), expected, rtol=1e-4, atol=1e-6)
