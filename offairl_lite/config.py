@@ -115,6 +115,15 @@ class Config:
     fixed_primitives: bool = False
     """Whether only the gate of the actor learns."""
 
+    carry: Literal["nothing", "policy", "primitives"] = "nothing"
+    """What the actor has of an earlier policy at the start: nothing; all of it, with the scaling of
+    its inputs; or all but the gate, which begins anew."""
+
+    start_steps: int = 0
+    """The most steps for which a guide, another policy, acts at the start of an episode (random
+    state initialisation). How many is drawn each time. They count as steps, and are not learned
+    from."""
+
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
 
@@ -204,6 +213,15 @@ class Config:
             )
         if self.fixed_primitives and self.primitives is None:
             raise ValueError("fixed_primitives=True, and there are none: set primitives")
+        if self.carry == "primitives" and self.primitives is None:
+            raise ValueError("carry='primitives', and there are none: set primitives")
+        if self.carry != "nothing" and self.generator == "td3":
+            raise ValueError(f"carry={self.carry!r} is not for td3: use generator='sac' or 'ppo'")
+        if not 0 <= self.start_steps < self.warmup_steps:
+            raise ValueError(
+                f"start_steps is {self.start_steps}; expected 0 or more, and fewer than the "
+                f"{self.warmup_steps} warmup_steps, of which something must be left to learn from"
+            )
         if self.absorbing != "none" and self.reward == "environment":
             raise ValueError(
                 f"absorbing={self.absorbing!r} is for learned rewards; the task's own reward is "
@@ -222,6 +240,10 @@ class Config:
             raise ValueError("temperature is None, and ppo does not learn it: set a small number")
         if self.absorbing != "none":
             raise ValueError(f"absorbing={self.absorbing!r} is not for ppo: set absorbing='none'")
+        if self.start_steps:
+            raise ValueError(
+                f"start_steps is {self.start_steps}, and ppo learns from every step: set it to 0"
+            )
 
     @property
     def learns_reward(self) -> bool:

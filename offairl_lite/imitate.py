@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from tqdm.auto import tqdm
 
@@ -86,6 +86,8 @@ class Trainer:
         seeds: one for each member of the population.
         demonstrations: needed where a reward is learned.
         reward: needed where `config.reward` is `frozen`: as many members as seeds.
+        policy: needed where `config.carry` is not `nothing`: as many members as seeds.
+        guide: needed where `config.start_steps` is not 0: as many members as seeds.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
         memory: steps by which the replay file can be taken back, see `replay.Replay`.
@@ -101,6 +103,8 @@ class Trainer:
         demonstrations: Demonstrations | None = None,
         reward: Reward | None = None,
         *,
+        policy: Policy | None = None,
+        guide: Policy | None = None,
         execution: Execution = Execution(),  # noqa: B008
         replay_file: Path | None = None,
         memory: int = 0,
@@ -116,8 +120,13 @@ class Trainer:
             raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
         if (config.reward == "frozen") != (reward is not None):
             raise ValueError(f"reward={config.reward!r} and a frozen reward go together")
-        if reward is not None and len(reward) != len(seeds):
-            raise ValueError(f"{len(reward)} frozen rewards for {len(seeds)} seeds")
+        if (config.carry != "nothing") != (policy is not None):
+            raise ValueError(f"carry={config.carry!r} and a policy to carry over go together")
+        if (config.start_steps > 0) != (guide is not None):
+            raise ValueError(f"start_steps={config.start_steps} and a guide go together")
+        for what, given in (("frozen rewards", reward), ("policies", policy), ("guides", guide)):
+            if given is not None and len(given) != len(seeds):
+                raise ValueError(f"{len(given)} {what} for {len(seeds)} seeds")
         if demonstrations is not None and demonstrations.env_id != config.env_id:
             raise ValueError(
                 f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}"
@@ -152,6 +161,11 @@ class Trainer:
         self.owed: list[int] = []
         self.block_start, self.evaluated = 0, 0
         self.held = torch.zeros(len(seeds), self.action_dim, device=self.device)
+        self.carried = None if policy is None else policy.to(self.device)
+        self.guide = None if guide is None else guide.to(self.device)
+        # For how many more steps the guide acts.
+        self.guided = torch.zeros(len(seeds), dtype=torch.long)
+        self._start(np.ones(len(seeds), bool))
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
         self.diverged: dict[int, str] = {}
         self.obs, _ = self.env.reset()
@@ -252,18 +266,23 @@ class Trainer:
             if not finite.all():
                 self._give_up("actions", ~finite.all(-1))
                 pre_tanh = pre_tanh.where(finite, 0)
-        action = torch.tanh(pre_tanh).cpu().numpy()
-        next_obs, reward, terminated, truncated, _ = self.env.step(action)
-        self._store(
-            Batch(
-                _float(self.obs),
-                pre_tanh.cpu(),
-                _float(next_obs),
-                _float(reward),
-                _float(terminated),
-            )
+        action = torch.tanh(pre_tanh)
+        if self.guided.any():
+            guided = (self.guided > 0).to(self.device).unsqueeze(1)
+            action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
+        next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
+        batch = Batch(
+            _float(self.obs),
+            pre_tanh.cpu(),
+            _float(next_obs),
+            _float(reward),
+            _float(terminated),
         )
+        own = (self.guided == 0).nonzero().squeeze(1)
+        self._store(Batch(*(part[own] for part in batch)), own)
+        self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
+        self._start(done)
         self.obs = self.env.reset(options={"reset_mask": done})[0] if done.any() else next_obs
         self.steps += 1
         self.episodes += torch.from_numpy(done)
@@ -274,14 +293,20 @@ class Trainer:
         seen = _float(obs).to(self.device)
         return seen if self.config.absorbing == "none" else absorbing.extend(seen)
 
-    def _store(self, batch: Batch) -> None:
+    def _start(self, begins: Bool[np.ndarray, "S"]) -> None:
+        """Draw for how long the guide acts in episodes that begin."""
+        if self.config.start_steps and begins.any():
+            drawn = self.streams.integers([self.config.start_steps + 1] * len(begins), 1)
+            self.guided = torch.where(torch.from_numpy(begins), drawn[:, 0].cpu(), self.guided)
+
+    def _store(self, batch: Batch, members: Int[Tensor, "M"]) -> None:
         if self.config.absorbing == "none":
-            return self.replay.add(batch)
+            return self.replay.add(batch, members)
         batch = absorbing.rewrite(batch)
-        self.replay.add(batch)
+        self.replay.add(batch, members)
         ended = absorbing.is_absorbing(batch.next_obs).nonzero().squeeze(1)
         if len(ended):
-            self.replay.add(absorbing.loops(batch), ended)
+            self.replay.add(absorbing.loops(batch), members[ended])
         return None
 
     def _rewritten(self, batch: Batch) -> Batch:
@@ -298,6 +323,8 @@ class Trainer:
         dims = self.obs_dim, self.action_dim
         learners = {"sac": SAC, "td3": TD3, "ppo": PPO}
         self.generator = learners[config.generator](config, *dims, self.streams, normaliser)
+        if config.carry != "nothing":
+            self._carry_over()
         self.generator.step = self.execution.accelerate(self.generator.step)
         if config.learns_reward:
             self.discriminator = Discriminator(
@@ -305,12 +332,32 @@ class Trainer:
             )
             self.discriminator.step = self.execution.accelerate(self.discriminator.step)
 
+    def _carry_over(self) -> None:
+        """Put the carried policy's weights into the actor.
+
+        Raises:
+            ValueError: it is of another architecture.
+        """
+        carried, generator = self.carried, self.generator
+        if carried.actor != generator.actor:
+            raise ValueError(
+                f"the policy to carry over is a {carried.actor}, and the actor of this run a "
+                f"{generator.actor}: make the configurations the same"
+            )
+        params = carried.params
+        if self.config.carry == "primitives":
+            gate = generator.actor.gate.num_params
+            params = torch.cat([params[:, :-gate], generator.actor_params.detach()[:, -gate:]], 1)
+        generator.actor_params.detach().copy_(params)
+
     def _normaliser(self) -> Normaliser:
         """Return the scaling by what each member has seen and, half and half, what it was shown.
 
         That even mixture is what the discriminator will look at. The absorbing state, which is no
-        place on the map, is left out.
+        place on the map, is left out. A policy that is carried over brings its own scaling.
         """
+        if self.carried is not None:
+            return self.carried.normaliser
         if not self.config.normalise:
             return Normaliser.identity(len(self.seeds), self.obs_dim, self.device)
         members = []
@@ -499,6 +546,7 @@ class Trainer:
             "owed": torch.tensor(self.owed, dtype=torch.long),
             "episodes": self.episodes,
             "held": self.held,
+            "guided": self.guided,
             "obs": torch.as_tensor(self.obs),
             "streams": self.streams.state,
             "added": self.replay.added,
@@ -528,6 +576,8 @@ class Trainer:
                     tensor.copy_(state[name])
             for name in ("episodes", "held"):
                 getattr(self, name).copy_(state[name])
+            if "guided" in state:  # Older checkpoints know of no guide.
+                self.guided.copy_(state["guided"])
             self.replay.added.copy_(state["added"])
             self.streams.state = state["streams"]
             self.env.set_state(_under("env.", state, Tensor.numpy))
@@ -595,6 +645,8 @@ def train(
     demonstrations: Demonstrations | None = None,
     reward: Reward | None = None,
     *,
+    policy: Policy | None = None,
+    guide: Policy | None = None,
     execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
 ) -> Run:
@@ -605,6 +657,8 @@ def train(
         seeds: one for each member; the same seeds on the same machine give the same run.
         demonstrations: of the expert, where a reward is to be learned.
         reward: a frozen reward, where `config.reward` is `frozen`.
+        policy: one to carry over, where `config.carry` says so.
+        guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         execution: where and how it is computed.
         progress: whether to show a bar.
 
@@ -612,5 +666,5 @@ def train(
         ValueError: something that `config` needs is missing, or does not fit the task.
         FloatingPointError: every member has diverged.
     """
-    trainer = Trainer(config, seeds, demonstrations, reward, execution=execution)
-    return complete(trainer, progress)
+    given = {"policy": policy, "guide": guide, "execution": execution}
+    return complete(Trainer(config, seeds, demonstrations, reward, **given), progress)

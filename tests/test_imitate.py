@@ -11,9 +11,9 @@ from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
-from offairl_lite.policies import SquashedGaussian
+from offairl_lite.policies import Policy, SquashedGaussian
 from offairl_lite.ppo import PPO
-from offairl_lite.sac import SAC
+from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 
 MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
@@ -515,3 +515,121 @@ def test_no_seeds_no_run(tiny, maze):
 def test_an_unknown_task_is_refused(tiny):
     with pytest.raises(ValueError, match="unknown environment 'Nowhere-v0'"):
         Trainer(replace(tiny, env_id="Nowhere-v0", reward="environment"), (0,))
+
+
+# What comes from other runs.
+
+
+def earlier_policy(config, members, shift=0.0):
+    actor = stochastic_actor(config, 3, 2)
+    normaliser = Normaliser(torch.full((members, 1, 3), shift), torch.full((members, 1, 3), 2.0))
+    return Policy(MAZE, actor, actor.init(Streams(range(10, 10 + members))), normaliser)
+
+
+MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
+
+
+def built(config, **given):
+    """A trainer whose learners have just been made."""
+    trainer = Trainer(config, range(2), **given)
+    until(trainer, lambda trainer: trainer.generator is not None)
+    return trainer
+
+
+@pytest.mark.parametrize("kind", [{}, MCP])
+def test_a_policy_that_is_carried_over_acts_as_before(tiny, kind):
+    config = replace(tiny, reward="environment", carry="policy", **kind)
+    policy = earlier_policy(config, 2, shift=0.3)
+    now = built(config, policy=policy).generator.policy
+    assert torch.equal(now.params, policy.params)
+    obs = Streams((0, 1)).normal(5, 3)
+    torch.testing.assert_close(now.act(obs), policy.act(obs))
+
+
+def test_primitives_are_carried_over_and_the_gate_begins_anew(tiny):
+    config = replace(tiny, reward="environment", carry="primitives", **MCP)
+    policy, fresh = earlier_policy(config, 2), built(replace(config, carry="nothing"))
+    carried = built(config, policy=policy).generator
+    *others, gate = carried.actor.split(carried.actor_params.detach())
+    *expected, earlier_gate = carried.actor.split(policy.params)
+    assert all(map(torch.equal, others, expected))
+    assert not torch.equal(gate, earlier_gate)
+    assert torch.equal(gate, fresh.generator.actor.split(fresh.generator.actor_params)[-1])
+
+
+def test_of_a_carried_policy_only_the_gate_need_learn(tiny):
+    config = replace(
+        tiny, reward="environment", carry="primitives", fixed_primitives=True, actor_delay=1, **MCP
+    )
+    policy = earlier_policy(config, 2)
+    end = run_with(config, policy=policy).policy
+    before, after = (policy.actor.split(p.params) for p in (policy, end))
+    assert all(map(torch.equal, after[:2], before[:2]))
+    assert not torch.equal(after[2], before[2])
+
+
+def run_with(config, **given):
+    return train(config, range(2), **given, progress=False)
+
+
+def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
+    config = replace(tiny, reward="environment", start_steps=40, total_steps=400)
+    guide, trainer = earlier_policy(config, 2), None
+    trainer = Trainer(config, range(2), guide=guide)
+    guided_steps, actions, lengths = torch.zeros(2, dtype=torch.long), [], []
+    step = trainer.env.step
+
+    def watch(action):
+        seen = torch.from_numpy(trainer.obs).float().unsqueeze(1)
+        theirs = guide.act(seen)[:, 0].numpy()
+        actions.append((trainer.guided.clone().numpy() > 0, action, theirs))
+        return step(action)
+
+    trainer.env.step = watch
+    while not trainer.finished:
+        if trainer.steps % 100 == 0 and len(actions) == trainer.steps:
+            lengths.append(trainer.guided.clone())
+        guided_steps = sum(torch.from_numpy(guided).long() for guided, *_ in actions)
+        trainer.advance()
+    for guided, action, theirs in actions:
+        np.testing.assert_allclose(action[guided], theirs[guided], atol=1e-6)
+        assert not np.isclose(action[~guided], theirs[~guided]).all(1).any()
+    guided_steps = sum(torch.from_numpy(guided).long() for guided, *_ in actions)
+    assert (guided_steps > 0).all()
+    assert trainer.replay.added.tolist() == (400 - guided_steps).tolist()
+    drawn = torch.stack(lengths)
+    assert (drawn <= 40).all()
+    assert len(drawn.unique()) > 4
+
+
+def test_for_how_long_a_guide_acts_is_uniform(tiny):
+    config = replace(tiny, reward="environment", start_steps=3, update_every=50)
+    trainer = Trainer(config, range(100), guide=earlier_policy(config, 100))
+    counts = torch.zeros(4)
+    for _ in range(20):
+        trainer._start(np.ones(100, bool))
+        counts += trainer.guided.bincount(minlength=4)
+    assert (counts / counts.sum()).sub(0.25).abs().max() < 0.04  # 4 standard deviations
+
+
+@pytest.mark.parametrize(
+    ("change", "given", "message"),
+    [
+        ({"carry": "policy"}, (), "carry='policy' and a policy"),
+        ({}, ("policy",), "carry='nothing' and a policy"),
+        ({"start_steps": 5}, (), "start_steps=5 and a guide"),
+        ({}, ("guide",), "start_steps=0 and a guide"),
+    ],
+)
+def test_what_comes_from_other_runs_is_needed_and_not_more(tiny, change, given, message):
+    config = replace(tiny, reward="environment", **change)
+    with pytest.raises(ValueError, match=message):
+        Trainer(config, (0,), **{name: earlier_policy(config, 1) for name in given})
+
+
+def test_policies_must_be_as_many_and_of_the_architecture(tiny):
+    config = replace(tiny, reward="environment", carry="policy")
+    with pytest.raises(ValueError, match="3 policies for 2 seeds"):
+        built(config, policy=earlier_policy(config, 3))
+    with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
+        built(replace(config, **MCP), policy=earlier_policy(config, 2))
