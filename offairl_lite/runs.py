@@ -503,18 +503,56 @@ def _identity(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Any
 
 def _inherited(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Reward | Policy]:
     """Return what a shard has of other runs, by the names that `Trainer` has for it."""
-    config = plan.config
-    kinds = {
-        "reward": Reward if config.reward == "frozen" else None,
-        "policy": Policy if config.carry != "nothing" else None,
-        "guide": Policy if config.start_steps else None,
-    }
     members = [*map(plan.seeds.index, shard)]
     return {
         name: kind.load(folder / f"{INHERITED[name]}.safetensors").member(*members)
-        for name, kind in kinds.items()
-        if kind is not None
+        for name, kind in _heritable(plan.config).items()
     }
+
+
+def _heritable(config: Config) -> dict[str, type[Reward] | type[Policy]]:
+    """Return what a configuration needs of other runs."""
+    needed = {
+        "reward": (config.reward == "frozen", Reward),
+        "policy": (config.carry != "nothing", Policy),
+        "guide": (config.start_steps > 0, Policy),
+    }
+    return {name: kind for name, (is_needed, kind) in needed.items() if is_needed}
+
+
+def inherit(
+    config: Config,
+    seeds: Sequence[int],
+    *,
+    frozen: Path | None = None,
+    carried: Path | None = None,
+    guide: Path | None = None,
+) -> dict[str, Reward | Policy]:
+    """Load what a configuration needs of other runs, for `create`.
+
+    Args:
+        config: that of the new run.
+        seeds: of its members. Where guides are fewer, they take turns.
+        frozen: a file of rewards.
+        carried: a file of policies.
+        guide: a file of policies.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a file is needed that is not given, or it holds something else.
+    """
+    files, given = {"reward": frozen, "policy": carried, "guide": guide}, {}
+    for name, kind in _heritable(config).items():
+        if files[name] is None:
+            raise ValueError(
+                f"a {name} of another run is needed: give --{INHERITED[name]} "
+                f"RUN/{'reward' if kind is Reward else 'policy'}.safetensors"
+            )
+        given[name] = kind.load(files[name])
+    if "guide" in given:
+        guides = given["guide"]
+        given["guide"] = guides.member(*(i % len(guides) for i in range(len(seeds))))
+    return given
 
 
 def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:
