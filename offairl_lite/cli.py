@@ -16,7 +16,6 @@ from tyro.conf import OmitArgPrefixes, Positional
 from offairl_lite import demonstrations, jobs, records, runs, scale, sweep, video
 from offairl_lite.bench import Options, measure, table
 from offairl_lite.config import Config
-from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution, compiles, is_large
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.policies import Policy
@@ -112,6 +111,8 @@ def _run_command(name: str, size: Scale):
         trajectories: int = 50,
         subsample: int = 1,
         frozen: Path | None = None,
+        carried: Path | None = None,
+        guide: Path | None = None,
         device: Literal["cpu", "cuda"] = "cpu",
         threads: int = 1,
         compile: Literal["auto", "yes", "no"] = "auto",
@@ -129,6 +130,8 @@ def _run_command(name: str, size: Scale):
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
+            guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.
             threads: of PyTorch and of the physics, in each process; small networks are fastest
                 with one.
@@ -136,15 +139,13 @@ def _run_command(name: str, size: Scale):
             processes: that share the members; by default one, or for large networks one a core.
             config: everything else.
         """
-        reward = None
-        if config.reward == "frozen":
-            if frozen is None:
-                source = find(experiment).reward_from or "maze-imitation"
-                raise ValueError(
-                    f"{experiment} is paid by the reward of another run: first `offairl run "
-                    f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
-                )
-            reward = Reward.load(frozen)
+        if config.reward == "frozen" and frozen is None:
+            source = find(experiment).reward_from or "maze-imitation"
+            raise ValueError(
+                f"{experiment} is paid by the reward of another run: first `offairl run "
+                f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
+            )
+        inherited = runs.inherit(config, seeds, frozen=frozen, carried=carried, guide=guide)
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset, subsample)
@@ -163,7 +164,7 @@ def _run_command(name: str, size: Scale):
             demonstrations=data,
             dataset=dataset,
             subsample=subsample,
-            reward=reward,
+            **inherited,
             experiment=experiment,
             scale=scale,
             shards=processes,

@@ -13,6 +13,9 @@ RewardName = Literal[
     "implementation-3",
     "implementation-4",
     "dac",
+    "gail-survival",
+    "gail-termination",
+    "gan-gcl",
     "environment",
     "frozen",
 ]
@@ -29,30 +32,42 @@ class Config:
     """Gymnasium id of the task; observations and actions must be boxes."""
 
     reward: RewardName = "implementation-4"
-    """What the generator maximises: a variant of the paper's reward, DAC's, the task's own
-    (plain reinforcement learning), or a reward learned before and now frozen (transfer)."""
+    """What the generator maximises: a variant of the paper's reward, DAC's, GAIL's of either sign,
+    GAN-GCL's, the task's own (plain reinforcement learning), or a reward learned before and now
+    frozen (transfer)."""
 
-    generator: Literal["sac", "td3"] = "sac"
-    """The off-policy learner. TD3 is deterministic, so it has no log π and cannot serve AIRL."""
+    generator: Literal["sac", "td3", "ppo"] = "sac"
+    """The learner: SAC and TD3 are off-policy, PPO is on-policy. TD3 is deterministic, so it has no
+    log π and cannot serve AIRL."""
 
     total_steps: int = 1_000_000
     """Environment steps of each member."""
 
     warmup_steps: int = 10_000
-    """Steps of uniform random actions. Their updates are made up for when they are over."""
+    """Steps of uniform random actions. Their updates are made up for when they are over, but not by
+    PPO, which learns from its own actions alone."""
 
     warmup_hold: float = 1.0
     """Mean number of steps for which a warm-up action is held; 1 draws a fresh one every step."""
 
     update_every: int | None = None
     """Environment steps between training blocks, each of as many updates of the discriminator and
-    then of the generator. None: the end of the episode, as in Algorithm 1."""
+    then of the generator. None: the end of the episode, as in Algorithm 1. PPO learns from the
+    block itself."""
+
+    discriminator_updates: int | None = None
+    """Updates of the discriminator at a training block. None: as many as the block has steps."""
+
+    epochs: int = 10
+    """How often PPO goes through a block, in minibatches of `batch_size`."""
 
     batch_size: int = 100
-    """Transitions from the demonstrations, and as many from replay, in one update."""
+    """Transitions from the demonstrations, and as many from replay, in one update. GAN-GCL takes
+    as many whole episodes as that comes to."""
 
     replay_size: int = 1_000_000
-    """Transitions kept for each member; the oldest are overwritten."""
+    """Transitions kept for each member; the oldest are overwritten. With PPO it says how far back
+    the discriminator's negatives go: `update_every` is on-policy to the letter."""
 
     discount: float = 0.99
     """γ of the generator."""
@@ -70,7 +85,8 @@ class Config:
     """Critic updates for one update of the actor and the targets."""
 
     temperature: float | None = 0.2
-    """SAC's α. None: learned from 0.2 on, for a policy entropy of `target_entropy`."""
+    """SAC's α, and the weight of the entropy in PPO's loss. None, for SAC: learned from 0.2 on, for
+    a policy entropy of `target_entropy`."""
 
     target_entropy: float | None = None
     """Entropy, in nats, that a learned temperature holds. None: minus the number of actions."""
@@ -98,6 +114,15 @@ class Config:
 
     fixed_primitives: bool = False
     """Whether only the gate of the actor learns."""
+
+    carry: Literal["nothing", "policy", "primitives"] = "nothing"
+    """What the actor has of an earlier policy at the start: nothing; all of it, with the scaling of
+    its inputs; or all but the gate, which begins anew."""
+
+    start_steps: int = 0
+    """The most steps for which a guide, another policy, acts at the start of an episode (random
+    state initialisation). How many is drawn each time. They count as steps, and are not learned
+    from."""
 
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
@@ -158,7 +183,7 @@ class Config:
         for name in ("discount", "discriminator_discount", "target_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
-        for name in ("update_every", "temperature", "primitives"):
+        for name in ("update_every", "temperature", "discriminator_updates", "primitives"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value!r}; expected a positive number or None")
@@ -169,10 +194,17 @@ class Config:
             )
         if self.warmup_hold < 1:
             raise ValueError(f"warmup_hold is {self.warmup_hold!r}; expected at least 1 step")
-        if self.generator == "td3" and self.reward.startswith("implementation"):
+        log_prob_needed = self.reward.startswith("implementation") or self.reward == "gan-gcl"
+        if self.generator == "td3" and log_prob_needed:
             raise ValueError(
                 f"reward {self.reward!r} needs log π, and td3's policy is deterministic: "
                 "use generator='sac', or reward='dac'"
+            )
+        if self.generator == "ppo":
+            self._check_ppo()
+        elif self.reward == "gan-gcl":
+            raise ValueError(
+                "reward 'gan-gcl' is for whole episodes of the present policy: use generator='ppo'"
             )
         if self.primitives is not None and self.generator != "sac":
             raise ValueError(
@@ -181,6 +213,15 @@ class Config:
             )
         if self.fixed_primitives and self.primitives is None:
             raise ValueError("fixed_primitives=True, and there are none: set primitives")
+        if self.carry == "primitives" and self.primitives is None:
+            raise ValueError("carry='primitives', and there are none: set primitives")
+        if self.carry != "nothing" and self.generator == "td3":
+            raise ValueError(f"carry={self.carry!r} is not for td3: use generator='sac' or 'ppo'")
+        if not 0 <= self.start_steps < self.warmup_steps:
+            raise ValueError(
+                f"start_steps is {self.start_steps}; expected 0 or more, and fewer than the "
+                f"{self.warmup_steps} warmup_steps, of which something must be left to learn from"
+            )
         if self.absorbing != "none" and self.reward == "environment":
             raise ValueError(
                 f"absorbing={self.absorbing!r} is for learned rewards; the task's own reward is "
@@ -188,6 +229,21 @@ class Config:
             )
         if self.absorbing == "analytic" and self.discount == 1:
             raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
+
+    def _check_ppo(self) -> None:
+        if self.update_every is None or self.update_every > self.replay_size:
+            raise ValueError(
+                f"update_every is {self.update_every}; ppo learns from the last so many steps: set "
+                f"it, to replay_size ({self.replay_size}) at most"
+            )
+        if self.temperature is None:
+            raise ValueError("temperature is None, and ppo does not learn it: set a small number")
+        if self.absorbing != "none":
+            raise ValueError(f"absorbing={self.absorbing!r} is not for ppo: set absorbing='none'")
+        if self.start_steps:
+            raise ValueError(
+                f"start_steps is {self.start_steps}, and ppo learns from every step: set it to 0"
+            )
 
     @property
     def learns_reward(self) -> bool:
@@ -199,6 +255,7 @@ _POSITIVE = (
     "total_steps",
     "warmup_steps",
     "batch_size",
+    "epochs",
     "replay_size",
     "learning_rate",
     "actor_delay",

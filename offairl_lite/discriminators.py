@@ -1,11 +1,12 @@
-r"""The discriminator: AIRL's, which contains a reward, and DAC's, which is one.
+r"""The discriminator: AIRL's, which contains a reward, and GAIL's, which is one.
 
 It tells the expert's transitions (label 1) from the policy's (label 0). AIRL's logit is
 
 $$\ell = f(s, a, s') - \log \pi(a|s), \qquad f = r_\psi + \gamma V_\omega(s') - V_\omega(s),$$
 
-with $r_\psi(s)$ or $r_\psi(s, a)$. DAC's is the special case $\ell = r_\psi(s, a)$: no
-shaping, no log π.
+with $r_\psi(s)$ or $r_\psi(s, a)$. GAIL's and DAC's is the special case $\ell = r_\psi(s, a)$: no
+shaping, no log π. GAN-GCL's judges an episode at once: $\ell = \sum_t r_\psi(s_t, a_t) - \log
+\pi(a_t|s_t)$.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from offairl_lite.networks import (
     save_weights,
 )
 from offairl_lite.replay import Batch
-from offairl_lite.rewards import IMPLEMENTATIONS, log_odds
+from offairl_lite.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, log_odds
 from offairl_lite.streams import Streams
 
 
@@ -46,6 +47,11 @@ def binary_cross_entropy(
 ) -> Float[Tensor, "S"]:
     """Return -E_expert log D - E_policy log(1 - D), for D = σ(logit)."""
     return (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
+
+
+def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E"]:
+    """Return the sum of the logits of each `horizon` steps (Finn et al. 2016, section 3.1)."""
+    return logit.unflatten(1, (-1, horizon)).sum(-1)
 
 
 def gradient_penalty(square: Float[Tensor, "S B"]) -> Float[Tensor, "S"]:
@@ -133,6 +139,7 @@ class Discriminator:
         streams: for the initial weights.
         normaliser: scales every observation that comes in. The penalty holds ‖∇‖ near 1 in the
             coordinates that it gives, so their scale is part of the algorithm.
+        horizon: steps that are judged together: an episode's for GAN-GCL, otherwise 1.
     """
 
     def __init__(
@@ -142,10 +149,13 @@ class Discriminator:
         action_dim: int,
         streams: Streams,
         normaliser: Normaliser,
+        horizon: int = 1,
     ) -> None:
-        self.config, self.normaliser = config, normaliser
+        self.config, self.normaliser, self.horizon = config, normaliser, horizon
         self.is_airl = config.reward in IMPLEMENTATIONS
-        self.state_only = self.is_airl and IMPLEMENTATIONS[config.reward].state_only
+        self.sees_policy = self.is_airl or config.reward == "gan-gcl"
+        kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.sees_policy))
+        self.state_only, self.reward_is_logit = kind
         inputs = obs_dim if self.state_only else obs_dim + action_dim
         activation = config.discriminator_activation
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), activation)
@@ -168,7 +178,7 @@ class Discriminator:
         action: Float[Tensor, "S B A"],
         next_obs: Float[Tensor, "S B O"],
     ) -> Float[Tensor, "S B"]:
-        """Return f(s, a, s') of normalised observations; DAC's logit has no shaping."""
+        """Return f(s, a, s') of normalised observations; without AIRL there is no shaping."""
         x = obs if self.state_only else torch.cat([obs, action], -1)
         r = self.reward_net(self.reward_params, x).squeeze(-1)
         if not self.is_airl:
@@ -209,8 +219,8 @@ class Discriminator:
         Args:
             expert: demonstrations.
             policy: transitions from replay.
-            expert_log_prob: log π of the expert's actions; None for DAC.
-            policy_log_prob: log π of the policy's actions; None for DAC.
+            expert_log_prob: log π of the expert's actions; None for GAIL and DAC.
+            policy_log_prob: log π of the policy's actions; None for GAIL and DAC.
             coefficient: uniform in [0, 1): where between both the penalty is taken. The first
                 column serves for all parts of a transition, or, where the penalty is on the
                 probability, each column for its own (s, a, s', log π).
@@ -229,11 +239,13 @@ class Discriminator:
         mixed_f, by_obs, by_action, by_next_obs = self.f_and_gradients(*mixed)
 
         expert_logit, policy_logit, mixed_logit = expert_f, policy_f, mixed_f
-        if self.is_airl:
+        if self.sees_policy:
             mixed_logit = log_odds(mixed_f, torch.lerp(policy_log_prob, expert_log_prob, part[3]))
-        if self.is_airl and self.config.policy_in_logit:
+        if self.sees_policy and self.config.policy_in_logit:
             expert_logit = log_odds(expert_f, expert_log_prob)
             policy_logit = log_odds(policy_f, policy_log_prob)
+        expert_logit = per_episode(expert_logit, self.horizon)
+        policy_logit = per_episode(policy_logit, self.horizon)
 
         square = by_obs.square().sum(-1)
         if on_probability:
@@ -280,16 +292,17 @@ class Discriminator:
 
     @torch.no_grad()
     def reward(self, batch: Batch, log_prob: Float[Tensor, "S B"] | None) -> Float[Tensor, "S B"]:
-        """Return the generator's reward: r, or log D - log(1 - D) (`rewards.IMPLEMENTATIONS`).
+        """Return the generator's reward, as the module `rewards` has it.
 
         Args:
             batch: transitions.
-            log_prob: log π of their actions; only Implementations 1 and 2 look at it.
+            log_prob: log π of their actions, looked at where `reward_is_logit`.
         """
-        if self.is_airl and IMPLEMENTATIONS[self.config.reward].reward_is_logit:
+        if self.reward_is_logit:
             f = self.f(self.normaliser(batch.obs), batch.action, self.normaliser(batch.next_obs))
             return log_odds(f, log_prob)
-        return self.frozen(batch.obs, batch.action)
+        r = self.frozen(batch.obs, batch.action)
+        return r if self.is_airl else OF_LOGIT[self.config.reward](r)
 
     @property
     def frozen(self) -> Reward:

@@ -68,6 +68,42 @@ def _both(demo: dict, full: dict, **common) -> Mapping[Scale, Config]:
     }
 
 
+# PPO, for the on-policy methods. Its policy is wide at first and remains so: the noise of its
+# actions is all that leads it out of the trap.
+_ON_POLICY = {
+    "generator": "ppo",
+    "temperature": 1e-3,
+    "target_entropy": None,
+    "log_std_range": (-2.0, 2.0),
+    "update_every": 2_000,
+    "replay_size": 2_000,
+    "warmup_steps": 2_000,
+    "discriminator_updates": 100,
+    "batch_size": 250,
+}
+_ON_POLICY_DEMO = {"total_steps": 60_000, "eval_every": 5_000}
+_LOCOMOTION_DEMO = {
+    "total_steps": 20_000,
+    "hidden": (64, 64),
+    "reward_hidden": (64, 64),
+    "shaping_hidden": (64, 64),
+    "eval_every": 2_000,
+    "eval_episodes": 2,
+}
+_SIGNS = {
+    "survival": {"reward": "gail-survival"},
+    "termination": {"reward": "gail-termination"},
+    "log-odds": {"reward": "dac"},
+}
+_DAC = {"td3": {"generator": "td3"}, "sac": {"generator": "sac"}}
+
+
+def _hopper(**common) -> Mapping[Scale, Config]:
+    full = replace(CORRECTED, env_id="Hopper-v5", update_every=1_000)
+    full = replace(full, **common)
+    return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
+
+
 # Paid by minus a distance of at most 0.6, SAC would park against the wall behind the goal, 0.045
 # too far: the entropy is worth more. Magnified, the distance is.
 _EXPERT = {"reward": "environment", "reward_scale": 100.0}
@@ -143,6 +179,40 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _both({"total_steps": 8_000}, {}, env_id=RIGHT, reward="frozen"),
         SEEDS,
         reward_from="maze-imitation",
+    ),
+    "maze-gail": Experiment(
+        "GAIL with PPO, from demonstrations of PointMazeLeft: its two rewards, and DAC's",
+        _both(_ON_POLICY_DEMO, {}, **_ON_POLICY, reward="gail-survival"),
+        SEEDS,
+        variants=_SIGNS,
+    ),
+    "maze-dac": Experiment(
+        "DAC with TD3 and with SAC, from demonstrations of PointMazeLeft",
+        _both({}, {}, reward="dac"),
+        SEEDS,
+        variants=_DAC,
+    ),
+    "maze-airl-ppo": Experiment(
+        "What came before off-policy AIRL, with PPO: AIRL with r(s) and r(s, a), and GAN-GCL",
+        _both(_ON_POLICY_DEMO, {}, **_ON_POLICY, reward="implementation-2"),
+        SEEDS,
+        variants={
+            "state": {"reward": "implementation-2"},
+            "state-action": {"reward": "implementation-1"},
+            "gan-gcl": {"reward": "gan-gcl"},
+        },
+    ),
+    "hopper-gail": Experiment(
+        "GAIL with PPO on Hopper, where episodes end when it falls: give --dataset",
+        _hopper(**_ON_POLICY, reward="gail-survival"),
+        SEEDS,
+        variants=_SIGNS,
+    ),
+    "hopper-dac": Experiment(
+        "DAC with TD3 and with SAC on Hopper, with absorbing states: give --dataset",
+        _hopper(reward="dac", absorbing="bootstrap"),
+        SEEDS,
+        variants=_DAC,
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",

@@ -2,7 +2,8 @@
 
 Collect an episode; train the discriminator once for each of its steps; then the generator as
 often, on the reward as it now stands. With the task's own reward, or a frozen one, the
-discriminator's part falls away and the rest is the same.
+discriminator's part falls away and the rest is the same. So it is with PPO, but that it learns from
+the block of steps just taken, where the others learn from replay.
 """
 
 import warnings
@@ -13,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from tqdm.auto import tqdm
 
@@ -25,8 +26,8 @@ from offairl_lite.evaluate import Episodes, rollout
 from offairl_lite.execution import Execution
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy, unsquash
-from offairl_lite.replay import Batch, Replay
-from offairl_lite.rewards import IMPLEMENTATIONS
+from offairl_lite.ppo import PPO
+from offairl_lite.replay import Batch, Replay, choose
 from offairl_lite.sac import SAC
 from offairl_lite.streams import Streams
 from offairl_lite.td3 import TD3
@@ -85,6 +86,8 @@ class Trainer:
         seeds: one for each member of the population.
         demonstrations: needed where a reward is learned.
         reward: needed where `config.reward` is `frozen`: as many members as seeds.
+        policy: needed where `config.carry` is not `nothing`: as many members as seeds.
+        guide: needed where `config.start_steps` is not 0: as many members as seeds.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
         memory: steps by which the replay file can be taken back, see `replay.Replay`.
@@ -100,6 +103,8 @@ class Trainer:
         demonstrations: Demonstrations | None = None,
         reward: Reward | None = None,
         *,
+        policy: Policy | None = None,
+        guide: Policy | None = None,
         execution: Execution = Execution(),  # noqa: B008
         replay_file: Path | None = None,
         memory: int = 0,
@@ -115,8 +120,13 @@ class Trainer:
             raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
         if (config.reward == "frozen") != (reward is not None):
             raise ValueError(f"reward={config.reward!r} and a frozen reward go together")
-        if reward is not None and len(reward) != len(seeds):
-            raise ValueError(f"{len(reward)} frozen rewards for {len(seeds)} seeds")
+        if (config.carry != "nothing") != (policy is not None):
+            raise ValueError(f"carry={config.carry!r} and a policy to carry over go together")
+        if (config.start_steps > 0) != (guide is not None):
+            raise ValueError(f"start_steps={config.start_steps} and a guide go together")
+        for what, given in (("frozen rewards", reward), ("policies", policy), ("guides", guide)):
+            if given is not None and len(given) != len(seeds):
+                raise ValueError(f"{len(given)} {what} for {len(seeds)} seeds")
         if demonstrations is not None and demonstrations.env_id != config.env_id:
             raise ValueError(
                 f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}"
@@ -143,13 +153,19 @@ class Trainer:
         self.demonstrations = None
         if demonstrations is not None:
             self.demonstrations = self._rewritten(demonstrations.transitions)
-        self.generator: SAC | TD3 | None = None
+        self.horizon = self._horizon(demonstrations)
+        self.generator: SAC | TD3 | PPO | None = None
         self.discriminator: Discriminator | None = None
         self.steps, self.episodes = 0, torch.zeros(len(seeds), dtype=torch.long)
         # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
         self.owed: list[int] = []
         self.block_start, self.evaluated = 0, 0
         self.held = torch.zeros(len(seeds), self.action_dim, device=self.device)
+        self.carried = None if policy is None else policy.to(self.device)
+        self.guide = None if guide is None else guide.to(self.device)
+        # For how many more steps the guide acts.
+        self.guided = torch.zeros(len(seeds), dtype=torch.long)
+        self._start(np.ones(len(seeds), bool))
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
         self.diverged: dict[int, str] = {}
         self.obs, _ = self.env.reset()
@@ -197,9 +213,32 @@ class Trainer:
                     self.block_start = self.steps
                 if self.steps == self.config.warmup_steps:
                     self._build(self._normaliser())
+                    if self.config.generator == "ppo":
+                        self.owed.clear()
+                        self.block_start = self.steps
         return []
 
+    def _horizon(self, demonstrations: Demonstrations | None) -> int:
+        """Return how many steps the discriminator judges together."""
+        if self.config.reward != "gan-gcl":
+            return 1
+        lengths, config = set(demonstrations.lengths), self.config
+        multiples = config.warmup_steps, config.update_every, config.replay_size
+        if len(lengths) > 1 or any(n % min(lengths) for n in multiples):
+            raise ValueError(
+                "gan-gcl compares whole episodes of one length: the demonstrations have "
+                f"{min(lengths)} to {max(lengths)} steps, and warmup_steps, update_every and "
+                f"replay_size, {multiples}, must be multiples of that"
+            )
+        return lengths.pop()
+
     def _block_ends(self, done: np.ndarray) -> bool:
+        if self.horizon > 1 and (done != (self.steps % self.horizon == 0)).any():
+            raise ValueError(
+                f"gan-gcl compares whole episodes of one length, {self.horizon} as demonstrated, "
+                f"and {self.config.env_id} has ended one elsewhere or not there: choose another "
+                "reward"
+            )
         if self.config.update_every is not None:
             return self.steps - self.block_start == self.config.update_every
         if done.any() and not done.all():
@@ -227,18 +266,23 @@ class Trainer:
             if not finite.all():
                 self._give_up("actions", ~finite.all(-1))
                 pre_tanh = pre_tanh.where(finite, 0)
-        action = torch.tanh(pre_tanh).cpu().numpy()
-        next_obs, reward, terminated, truncated, _ = self.env.step(action)
-        self._store(
-            Batch(
-                _float(self.obs),
-                pre_tanh.cpu(),
-                _float(next_obs),
-                _float(reward),
-                _float(terminated),
-            )
+        action = torch.tanh(pre_tanh)
+        if self.guided.any():
+            guided = (self.guided > 0).to(self.device).unsqueeze(1)
+            action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
+        next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
+        batch = Batch(
+            _float(self.obs),
+            pre_tanh.cpu(),
+            _float(next_obs),
+            _float(reward),
+            _float(terminated),
         )
+        own = (self.guided == 0).nonzero().squeeze(1)
+        self._store(Batch(*(part[own] for part in batch)), own)
+        self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
+        self._start(done)
         self.obs = self.env.reset(options={"reset_mask": done})[0] if done.any() else next_obs
         self.steps += 1
         self.episodes += torch.from_numpy(done)
@@ -249,14 +293,20 @@ class Trainer:
         seen = _float(obs).to(self.device)
         return seen if self.config.absorbing == "none" else absorbing.extend(seen)
 
-    def _store(self, batch: Batch) -> None:
+    def _start(self, begins: Bool[np.ndarray, "S"]) -> None:
+        """Draw for how long the guide acts in episodes that begin."""
+        if self.config.start_steps and begins.any():
+            drawn = self.streams.integers([self.config.start_steps + 1] * len(begins), 1)
+            self.guided = torch.where(torch.from_numpy(begins), drawn[:, 0].cpu(), self.guided)
+
+    def _store(self, batch: Batch, members: Int[Tensor, "M"]) -> None:
         if self.config.absorbing == "none":
-            return self.replay.add(batch)
+            return self.replay.add(batch, members)
         batch = absorbing.rewrite(batch)
-        self.replay.add(batch)
+        self.replay.add(batch, members)
         ended = absorbing.is_absorbing(batch.next_obs).nonzero().squeeze(1)
         if len(ended):
-            self.replay.add(absorbing.loops(batch), ended)
+            self.replay.add(absorbing.loops(batch), members[ended])
         return None
 
     def _rewritten(self, batch: Batch) -> Batch:
@@ -271,19 +321,43 @@ class Trainer:
         """Make the learners, once it is known how to scale their inputs."""
         config = self.config
         dims = self.obs_dim, self.action_dim
-        learner = SAC if config.generator == "sac" else TD3
-        self.generator = learner(config, *dims, self.streams, normaliser)
+        learners = {"sac": SAC, "td3": TD3, "ppo": PPO}
+        self.generator = learners[config.generator](config, *dims, self.streams, normaliser)
+        if config.carry != "nothing":
+            self._carry_over()
         self.generator.step = self.execution.accelerate(self.generator.step)
         if config.learns_reward:
-            self.discriminator = Discriminator(config, *dims, self.streams, normaliser)
+            self.discriminator = Discriminator(
+                config, *dims, self.streams, normaliser, self.horizon
+            )
             self.discriminator.step = self.execution.accelerate(self.discriminator.step)
+
+    def _carry_over(self) -> None:
+        """Put the carried policy's weights into the actor.
+
+        Raises:
+            ValueError: it is of another architecture.
+        """
+        carried, generator = self.carried, self.generator
+        if carried.actor != generator.actor:
+            raise ValueError(
+                f"the policy to carry over is a {carried.actor}, and the actor of this run a "
+                f"{generator.actor}: make the configurations the same"
+            )
+        params = carried.params
+        if self.config.carry == "primitives":
+            gate = generator.actor.gate.num_params
+            params = torch.cat([params[:, :-gate], generator.actor_params.detach()[:, -gate:]], 1)
+        generator.actor_params.detach().copy_(params)
 
     def _normaliser(self) -> Normaliser:
         """Return the scaling by what each member has seen and, half and half, what it was shown.
 
         That even mixture is what the discriminator will look at. The absorbing state, which is no
-        place on the map, is left out.
+        place on the map, is left out. A policy that is carried over brings its own scaling.
         """
+        if self.carried is not None:
+            return self.carried.normaliser
         if not self.config.normalise:
             return Normaliser.identity(len(self.seeds), self.obs_dim, self.device)
         members = []
@@ -297,37 +371,42 @@ class Trainer:
         return Normaliser(*map(torch.cat, zip(*members, strict=True)))
 
     def train(self, updates: int) -> None:
-        """Train the discriminator `updates` times, then the generator as often, from replay."""
+        """Train the discriminator `updates` times, then the generator as often, from replay.
+
+        PPO goes through the last `updates` steps instead.
+        """
         if self.discriminator is not None:
-            for minibatches in _chunks(updates):
+            for minibatches in _chunks(self.config.discriminator_updates or updates):
                 self._train_discriminator(minibatches)
         # The reward stays as it is while the generator trains, log π within it too.
         actor_params = self.generator.actor_params.detach().clone()
-        for minibatches in _chunks(updates):
-            self._train_generator(minibatches, actor_params)
+        if self.config.generator == "ppo":
+            self._train_on_policy(self.replay.last(updates), actor_params)
+        else:
+            for minibatches in _chunks(updates):
+                self._train_generator(minibatches, actor_params)
         for name, weights in self._learned().items():
             self._give_up(name, ~weights.isfinite().all(-1))
 
     def _train_discriminator(self, minibatches: int) -> None:
-        count = minibatches * self.config.batch_size
+        size = max(self.config.batch_size // self.horizon, 1) * self.horizon
+        count = minibatches * size
         rows = [len(self.demonstrations.obs)] * len(self.seeds)
-        index = self.streams.integers(rows, count)
+        index = choose(self.streams, rows, count, self.horizon)
         expert = Batch(*(part[index] for part in self.demonstrations))
-        policy = self.replay.sample(self.streams, count)
+        policy = self.replay.sample(self.streams, count, self.horizon)
         coefficient = self.streams.uniform(count, 4)
-        if self.discriminator.is_airl:
+        if self.discriminator.sees_policy:
             log_probs = [self.generator.log_prob(side) for side in (expert, policy)]
-            expert_log_prob, policy_log_prob = (
-                x.split(self.config.batch_size, 1) for x in log_probs
-            )
+            expert_log_prob, policy_log_prob = (x.split(size, 1) for x in log_probs)
         else:
             expert_log_prob = policy_log_prob = [None] * minibatches
         for minibatch in zip(
-            expert.split(self.config.batch_size),
-            policy.split(self.config.batch_size),
+            expert.split(size),
+            policy.split(size),
             expert_log_prob,
             policy_log_prob,
-            coefficient.split(self.config.batch_size, 1),
+            coefficient.split(size, 1),
             strict=True,
         ):
             metrics = self.discriminator.update(*minibatch)
@@ -345,13 +424,23 @@ class Trainer:
             metrics = self.generator.update(minibatch, r, absorbing_reward, eps)
         self.metrics.update(metrics)
 
+    def _train_on_policy(self, block: Batch, actor_params: Float[Tensor, "S P"]) -> None:
+        rollout = self.generator.rollout(block, self._reward(block, actor_params))
+        steps, size = rollout.advantage.shape[1], self.config.batch_size
+        for _ in range(self.config.epochs):
+            order = self.streams.uniform(steps).argsort(1)
+            noise = self.streams.normal(steps, self.action_dim)
+            for index, eps in zip(order.split(size, 1), noise.split(size, 1), strict=True):
+                metrics = self.generator.update(rollout.rows(index), eps)
+        self.metrics.update(metrics)
+
     def _reward(self, batch: Batch, actor_params: Float[Tensor, "S P"]) -> Float[Tensor, "S B"]:
         name = self.config.reward
         if name == "environment":
             reward = batch.reward
         elif name == "frozen":
             reward = self.frozen_reward(batch.obs, batch.action)
-        elif name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].reward_is_logit:
+        elif self.discriminator.reward_is_logit:
             reward = self.discriminator.reward(batch, self.generator.log_prob(batch, actor_params))
         else:
             reward = self.discriminator.reward(batch, None)
@@ -413,6 +502,7 @@ class Trainer:
     def _learned(self) -> dict[str, Float[Tensor, "S P"]]:
         """Return all weights that are trained, a row for each member."""
         critics = self.generator.critic_params.detach()
+        critics = critics.view(-1, *critics.shape[-2:])  # two of SAC and TD3, one of PPO
         tensors = {"actor": self.generator.actor_params.detach(), "critic": critics.sum(0)}
         if self.discriminator is not None:
             tensors["reward"] = self.discriminator.reward_params.detach()
@@ -456,6 +546,7 @@ class Trainer:
             "owed": torch.tensor(self.owed, dtype=torch.long),
             "episodes": self.episodes,
             "held": self.held,
+            "guided": self.guided,
             "obs": torch.as_tensor(self.obs),
             "streams": self.streams.state,
             "added": self.replay.added,
@@ -485,6 +576,8 @@ class Trainer:
                     tensor.copy_(state[name])
             for name in ("episodes", "held"):
                 getattr(self, name).copy_(state[name])
+            if "guided" in state:  # Older checkpoints know of no guide.
+                self.guided.copy_(state["guided"])
             self.replay.added.copy_(state["added"])
             self.streams.state = state["streams"]
             self.env.set_state(_under("env.", state, Tensor.numpy))
@@ -552,6 +645,8 @@ def train(
     demonstrations: Demonstrations | None = None,
     reward: Reward | None = None,
     *,
+    policy: Policy | None = None,
+    guide: Policy | None = None,
     execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
 ) -> Run:
@@ -562,6 +657,8 @@ def train(
         seeds: one for each member; the same seeds on the same machine give the same run.
         demonstrations: of the expert, where a reward is to be learned.
         reward: a frozen reward, where `config.reward` is `frozen`.
+        policy: one to carry over, where `config.carry` says so.
+        guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         execution: where and how it is computed.
         progress: whether to show a bar.
 
@@ -569,5 +666,5 @@ def train(
         ValueError: something that `config` needs is missing, or does not fit the task.
         FloatingPointError: every member has diverged.
     """
-    trainer = Trainer(config, seeds, demonstrations, reward, execution=execution)
-    return complete(trainer, progress)
+    given = {"policy": policy, "guide": guide, "execution": execution}
+    return complete(Trainer(config, seeds, demonstrations, reward, **given), progress)

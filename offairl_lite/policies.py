@@ -5,7 +5,7 @@ density of an action that has been rounded to ±1 is lost, that of its `pre_tanh
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from typing import Any, Literal
 
@@ -311,6 +311,11 @@ class Policy:
         rows = list(index)
         normaliser = Normaliser(*(part[rows] for part in self.normaliser))
         return Policy(self.env_id, self.actor, self.params[rows], normaliser)
+
+    def to(self, device: str | torch.device) -> "Policy":
+        """Return the same policies on a device."""
+        normaliser = Normaliser(*(part.to(device) for part in self.normaliser))
+        return replace(self, params=self.params.to(device), normaliser=normaliser)
 
     @torch.no_grad()
     def act(

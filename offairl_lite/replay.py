@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,6 +49,15 @@ def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
         [obs_dim, action_dim, obs_dim, 1, 1], -1
     )
     return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
+
+
+def choose(
+    streams: Streams, rows: Sequence[int], count: int, horizon: int = 1
+) -> Int[Tensor, "S _"]:
+    """Draw `count` of each member's `rows`: with a horizon, episodes of so many rows each."""
+    episode = streams.integers([n // horizon for n in rows], count // horizon)
+    steps = torch.arange(horizon, device=streams.device)
+    return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
 
 
 class Replay:
@@ -114,17 +124,36 @@ class Replay:
         index = torch.arange(added - self.sizes[member], added) % slots
         return unpack(self.rows[index, member].to(self.device), self.obs_dim)
 
-    def sample(self, streams: Streams, count: int) -> Batch:
-        """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
+    def last(self, count: int) -> Batch:
+        """Return the last `count` transitions of each member, oldest first: axes `S count`.
 
         Raises:
-            ValueError: a member has no transition yet.
+            ValueError: a member has fewer.
+        """
+        if min(self.sizes) < count:
+            raise ValueError(f"the last {count} transitions are wanted; held are {self.sizes}")
+        slot = (self.added.unsqueeze(1) - count + torch.arange(count)) % len(self.rows)
+        rows = self.rows[slot, self._everyone.unsqueeze(1)]
+        return unpack(rows.to(self.device), self.obs_dim)
+
+    def sample(self, streams: Streams, count: int, horizon: int = 1) -> Batch:
+        """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
+
+        Args:
+            streams: for the choice.
+            count: how many, a multiple of `horizon`.
+            horizon: how many in succession, see `choose`.
+
+        Raises:
+            ValueError: a member has not even one run of `horizon` transitions yet.
         """
         sizes, (slots, population, width) = self.sizes, self.rows.shape
-        if min(sizes) == 0:
-            raise ValueError(f"a member's replay is empty (sizes {sizes}): add to it first")
+        if min(sizes) < horizon:
+            raise ValueError(
+                f"a member's replay is empty (sizes {sizes}) or has no whole episode: add to it"
+            )
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
-        slot = (oldest + streams.integers(sizes, count).cpu()) % slots
+        slot = (oldest + choose(streams, sizes, count, horizon).cpu()) % slots
         # One gather for all members.
         index = slot * population + self._everyone.unsqueeze(1)
         rows = self.rows.view(-1, width).index_select(0, index.flatten())

@@ -1,7 +1,9 @@
 r"""The generator's reward: one function a variant, with the expert labelled 1.
 
 A discriminator is a logit $\ell$ with $D = \sigma(\ell)$, so $\log D - \log(1 - D) = \ell$.
-AIRL's is $\ell = f - \log \pi$, with $f(s, a, s') = r + \gamma V(s') - V(s)$.
+AIRL's is $\ell = f - \log \pi$, with $f(s, a, s') = r + \gamma V(s') - V(s)$. GAN-GCL's, of a whole
+episode, is the sum of its steps' $r(s, a) - \log \pi$, so that each step's share of it is log odds,
+too.
 """
 
 from typing import NamedTuple
@@ -30,7 +32,7 @@ IMPLEMENTATIONS = {
 def log_odds(
     f: Float[Tensor, "*batch"], log_prob: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "*batch"]:
-    """Return log D - log(1 - D) = f - log π: Implementations 1 and 2."""
+    """Return log D - log(1 - D) = f - log π: Implementations 1 and 2, and GAN-GCL."""
     return f - log_prob
 
 
@@ -47,3 +49,7 @@ def gail_survival(logit: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
 def gail_termination(logit: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Return log D ≤ 0: every step costs, so to stop is rewarded in itself."""
     return logsigmoid(logit)
+
+
+OF_LOGIT = {"dac": dac, "gail-survival": gail_survival, "gail-termination": gail_termination}
+"""The rewards of a discriminator without log π, by their names in a configuration."""

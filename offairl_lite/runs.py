@@ -52,12 +52,16 @@ from offairl_lite.records import (
     write_whole,
 )
 from offairl_lite.replay import Replay
+from offairl_lite.sac import stochastic_actor
 from offairl_lite.streams import Streams
 
 CHECKPOINT_EVERY = 2_000
 """Steps and updates, together, between checkpoints."""
 
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
+
+INHERITED = {"reward": "frozen", "policy": "carried", "guide": "guide"}
+"""What a trainer may be given of other runs, and the file that holds it."""
 
 NEW = {"state": "waiting", "step": 0, "wall_s": 0.0, "diverged": {}}
 """What run.json says of a shard: how it is, the step of its last checkpoint, the seconds it took,
@@ -74,6 +78,8 @@ def create(
     dataset: str | None = None,
     subsample: int = 1,
     reward: Reward | None = None,
+    policy: Policy | None = None,
+    guide: Policy | None = None,
     experiment: str | None = None,
     scale: str | None = None,
     shards: int = 1,
@@ -91,6 +97,8 @@ def create(
             experts'.
         subsample: how they were thinned when they were loaded, for `work` to do so again.
         reward: a frozen reward, where `config.reward` is `frozen`.
+        policy: one to carry over, where `config.carry` says so.
+        guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         experiment: its name, for the record.
         scale: its scale, for the record.
         shards: groups that the members are split into, for as many processes.
@@ -110,7 +118,9 @@ def create(
             "for a new one choose another --out"
         )
     # Made so that what does not fit is refused before anything is written.
-    Trainer(replace(config, replay_size=1), seeds, demonstrations, reward, execution=execution)
+    small = replace(config, replay_size=config.update_every or 1)
+    inherited = {"reward": reward, "policy": policy, "guide": guide}
+    Trainer(small, seeds, demonstrations, **inherited, execution=execution)
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
     if demonstrations is not None:
@@ -140,8 +150,9 @@ def create(
         (hidden / "members").mkdir()
         (hidden / "curve.csv").write_text(HEADER)
         write_json(hidden / "run.json", {"state": "waiting", **_origin(execution), "shards": {}})
-        if reward is not None:
-            reward.save(hidden / "frozen.safetensors")
+        for name, thing in inherited.items():
+            if thing is not None:
+                thing.save(hidden / f"{INHERITED[name]}.safetensors")
         os.replace(hidden, there)
     except BaseException:
         shutil.rmtree(hidden, ignore_errors=True)
@@ -169,7 +180,7 @@ def work(
     Raises:
         FileNotFoundError: there is no such run, or its checkpoint is gone.
         ValueError: the checkpoint is damaged, or of another format or run; or the configuration,
-            the demonstrations or the frozen reward have changed.
+            the demonstrations, or what comes from other runs, have changed.
         OSError: another process is at work on the run, or its disk is full.
     """
     plan = Plan.read(folder)
@@ -248,14 +259,14 @@ def add_seeds(folder: Path, seeds: Sequence[int]) -> None:
     """Add members to a run, a shard of their own that starts the next time it is worked on.
 
     Raises:
-        ValueError: a seed is there already, or the run's reward is frozen.
+        ValueError: a seed is there already, or the run builds upon members of another.
         OSError: a process is at work on it, or the disk has no room.
     """
     with _alone(folder) as plan:
-        if plan.config.reward == "frozen":
+        if inherited := _inherited(folder, plan, plan.seeds):
             raise ValueError(
-                f"{folder} is paid by a frozen reward, which has {len(plan.seeds)} members and "
-                "none for further seeds: start a run of its own with --frozen"
+                f"{folder} has of another run the {' and the '.join(inherited)}, of "
+                f"{len(plan.seeds)} members and none for further seeds: start a run of its own"
             )
         Streams(seeds)  # It refuses what cannot be a seed.
         if not seeds or len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
@@ -319,7 +330,7 @@ class _Worker:
             self.plan.config,
             self.shard,
             demonstrations,
-            _frozen(self.folder, self.plan, self.shard),
+            **_inherited(self.folder, self.plan, self.shard),
             execution=execution,
             replay_file=self.replay,
             memory=self.plan.checkpoint_every,
@@ -448,7 +459,8 @@ def _load(
     require_format(path, about.get("format", 1))
     if not sound:
         raise ValueError(_damaged(path, "its contents are not those that were written"))
-    was = about["identity"]
+    # A field that the checkpoint has never heard of is as it was before there was one.
+    was = {**json.loads(json.dumps(asdict(Config()))), **about["identity"]}
     now = json.loads(json.dumps(_identity(folder, plan, shard)))
     changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
     if changed:
@@ -474,25 +486,73 @@ def _damaged(path: Path, why: object) -> str:
 
 def _identity(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Any]:
     """Return all that a checkpoint depends on and that must stay as it is."""
-    reward = _frozen(folder, plan, shard)
     identity = {
         **asdict(plan.config),
         **plan.execution,
         "seeds": shard,
         "checkpoint_every": plan.checkpoint_every,
         "demonstrations": plan.demonstrations and plan.demonstrations["digest"],
-        "frozen": reward and _digest({"params": reward.params, **reward.normaliser._asdict()}),
+        **{
+            INHERITED[name]: _digest({"params": thing.params, **thing.normaliser._asdict()})
+            for name, thing in _inherited(folder, plan, shard).items()
+        },
     }
     del identity["total_steps"]
     return identity
 
 
-def _frozen(folder: Path, plan: Plan, shard: tuple[int, ...]) -> Reward | None:
-    """Return the reward that pays a shard, where it is frozen."""
-    if plan.config.reward != "frozen":
-        return None
-    reward = Reward.load(folder / "frozen.safetensors")
-    return reward.member(*map(plan.seeds.index, shard))
+def _inherited(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Reward | Policy]:
+    """Return what a shard has of other runs, by the names that `Trainer` has for it."""
+    members = [*map(plan.seeds.index, shard)]
+    return {
+        name: kind.load(folder / f"{INHERITED[name]}.safetensors").member(*members)
+        for name, kind in _heritable(plan.config).items()
+    }
+
+
+def _heritable(config: Config) -> dict[str, type[Reward] | type[Policy]]:
+    """Return what a configuration needs of other runs."""
+    needed = {
+        "reward": (config.reward == "frozen", Reward),
+        "policy": (config.carry != "nothing", Policy),
+        "guide": (config.start_steps > 0, Policy),
+    }
+    return {name: kind for name, (is_needed, kind) in needed.items() if is_needed}
+
+
+def inherit(
+    config: Config,
+    seeds: Sequence[int],
+    *,
+    frozen: Path | None = None,
+    carried: Path | None = None,
+    guide: Path | None = None,
+) -> dict[str, Reward | Policy]:
+    """Load what a configuration needs of other runs, for `create`.
+
+    Args:
+        config: that of the new run.
+        seeds: of its members. Where guides are fewer, they take turns.
+        frozen: a file of rewards.
+        carried: a file of policies.
+        guide: a file of policies.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a file is needed that is not given, or it holds something else.
+    """
+    files, given = {"reward": frozen, "policy": carried, "guide": guide}, {}
+    for name, kind in _heritable(config).items():
+        if files[name] is None:
+            raise ValueError(
+                f"a {name} of another run is needed: give --{INHERITED[name]} "
+                f"RUN/{'reward' if kind is Reward else 'policy'}.safetensors"
+            )
+        given[name] = kind.load(files[name])
+    if "guide" in given:
+        guides = given["guide"]
+        given["guide"] = guides.member(*(i % len(guides) for i in range(len(seeds))))
+    return given
 
 
 def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:
@@ -568,12 +628,13 @@ def disk_use(plan: Plan) -> int:
     action = env.single_action_space.shape[0]
     env.close()
     rows = replay_slots(config, plan.checkpoint_every) * (2 * obs + action + 2)
-    # Actor, two critics, r and V.
-    shapes = [((obs, *config.hidden, 2 * action), 1), ((obs + action, *config.hidden, 1), 2)]
+    # Two critics, r and V.
+    shapes = [((obs + action, *config.hidden, 1), 2)]
     if config.learns_reward:
         shapes += [((obs + action, *config.reward_hidden, 1), 1)]
         shapes += [((obs, *config.shaping_hidden, 1), 1)]
     weights = sum(count * StackedMLP(sizes).num_params for sizes, count in shapes)
+    weights += stochastic_actor(config, obs, action).num_params
     # Weights, two memories of Adam's and a target; generators and environments. While a checkpoint
     # is written, the one before is still there.
     checkpoint = 4 * 4 * weights + 2**15

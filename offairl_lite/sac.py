@@ -56,6 +56,23 @@ def temperature_loss(
     return -(log_alpha.exp() * (log_prob.detach() + target_entropy)).mean(-1).sum()
 
 
+def stochastic_actor(config: Config, obs_dim: int, action_dim: int) -> SquashedGaussian:
+    """Return the actor that a configuration asks for: one Gaussian, or a product of several."""
+    dims = obs_dim, action_dim
+    if config.primitives is None:
+        return SquashedGaussian(*dims, config.hidden, config.log_std_range)
+    return MultiplicativeGaussian(
+        *dims,
+        config.trunk_hidden,
+        config.log_std_range,
+        config.primitives,
+        config.primitive_hidden,
+        config.gate_hidden,
+        config.gating,
+        config.composition,
+    )
+
+
 class SAC:
     """Actor, twin critics, their targets and the temperature of `S` members.
 
@@ -76,19 +93,7 @@ class SAC:
         normaliser: Normaliser,
     ) -> None:
         self.config, self.normaliser = config, normaliser
-        dims = obs_dim, action_dim
-        self.actor = SquashedGaussian(*dims, config.hidden, config.log_std_range)
-        if config.primitives is not None:
-            self.actor = MultiplicativeGaussian(
-                *dims,
-                config.trunk_hidden,
-                config.log_std_range,
-                config.primitives,
-                config.primitive_hidden,
-                config.gate_hidden,
-                config.gating,
-                config.composition,
-            )
+        self.actor = stochastic_actor(config, obs_dim, action_dim)
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
         self.actor_params = self.actor.init(streams)
         self.critic_params = self.critic.init(streams)

@@ -12,9 +12,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
-from offairl_lite import demonstrations, jobs
+from offairl_lite import demonstrations, jobs, runs
 from offairl_lite.config import Config, differences
-from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution, compiles
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.records import Plan
@@ -105,6 +104,8 @@ def subcommand(
         trajectories: int = 50,
         subsample: int = 1,
         frozen: Path | None = None,
+        carried: Path | None = None,
+        guide: Path | None = None,
         device: Literal["cpu", "cuda"] = "cpu",
         compile: Literal["auto", "yes", "no"] = "auto",
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
@@ -127,6 +128,8 @@ def subcommand(
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
+            guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.
             compile: whether updates are compiled; auto: long runs of large networks.
             config: what all runs have in common.
@@ -137,14 +140,13 @@ def subcommand(
         fresh = {
             name: point for name, point in points.items() if not _there(folder / name, point, seeds)
         }
-        data = {}
-        for name, point in fresh.items():
+        data, files = {}, {"frozen": frozen, "carried": carried, "guide": guide}
+        inherited = {name: runs.inherit(point, seeds, **files) for name, point in fresh.items()}
+        for point in fresh.values():
             if point.learns_reward and point.env_id not in data:
                 data[point.env_id] = demonstrations.load(
                     point.env_id, trajectories, dataset, subsample
                 )
-            if point.reward == "frozen" and frozen is None:
-                raise ValueError(f"{name} is paid by the reward of another run: give --frozen")
         for name, point in fresh.items():
             needed = create(
                 folder / name,
@@ -154,7 +156,7 @@ def subcommand(
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
                 subsample=subsample,
-                reward=Reward.load(frozen) if point.reward == "frozen" else None,
+                **inherited[name],
                 experiment=experiment,
                 scale=scale,
             )

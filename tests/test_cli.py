@@ -8,8 +8,10 @@ import pytest
 import torch
 
 from offairl_lite import cli, runs
+from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.imitate import Trainer
+from offairl_lite.policies import Policy
 from offairl_lite.records import Plan, read
 from offairl_lite.sac import SAC
 
@@ -89,6 +91,14 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     transfer = read(elsewhere / "transfer")
     assert transfer.config.env_id == "offairl/PointMazeRight-v0"
     assert torch.equal(transfer.reward.params, run.reward.params)
+
+    policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
+    given = f"--frozen {reward} --carry policy --carried {policy} --start-steps 20"
+    offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
+    assert read(elsewhere / "carried").config.start_steps == 20
+    assert len(Policy.load(elsewhere / "carried" / "guide.safetensors")) == 2
+    message = failure(f"run maze-transfer {given} --out other {SMALL}", capsys)
+    assert "a guide of another run is needed: give --guide RUN/policy" in message
 
     offairl(f"watch {folder} --member 1 --max-steps 3 --out one.mp4")
     assert (elsewhere / "one.mp4").read_bytes()[4:8] == b"ftyp"

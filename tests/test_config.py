@@ -6,12 +6,14 @@ import pytest
 from offairl_lite import config
 from offairl_lite.config import CORRECTED, PAPER, RELEASE, Config, differences
 
+PPO = {"generator": "ppo", "update_every": 100}
+
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"reward": "airl"}, "reward is 'airl'.*implementation-4"),
-        ({"generator": "ppo"}, "generator is 'ppo'.*'sac', 'td3'"),
+        ({"generator": "trpo"}, "generator is 'trpo'.*'sac', 'td3', 'ppo'"),
         ({"absorbing": "yes"}, "absorbing is 'yes'.*bootstrap"),
         ({"penalty_on": "f"}, "penalty_on is 'f'"),
         ({"discount": 1.1}, "discount is 1.1"),
@@ -22,8 +24,20 @@ from offairl_lite.config import CORRECTED, PAPER, RELEASE, Config, differences
         ({"temperature": 0.0}, "temperature is 0.0"),
         ({"total_steps": 100, "warmup_steps": 101}, "warmup_steps is 101, total_steps 100"),
         ({"generator": "td3"}, "needs log π"),
+        ({"generator": "td3", "reward": "gan-gcl"}, "needs log π"),
+        ({"reward": "gan-gcl"}, "use generator='ppo'"),
+        ({"generator": "ppo"}, "update_every is None; ppo learns from the last"),
+        (PPO | {"replay_size": 99}, r"update_every is 100; .* to replay_size \(99\) at most"),
+        (PPO | {"temperature": None}, "temperature is None, and ppo"),
+        (PPO | {"absorbing": "bootstrap"}, "absorbing='bootstrap' is not for ppo"),
+        ({"discriminator_updates": 0}, "discriminator_updates is 0"),
         ({"primitives": 0}, "primitives is 0"),
         ({"primitives": 4, "generator": "td3", "reward": "dac"}, "primitives=4.*'td3'"),
+        ({"carry": "primitives"}, "carry='primitives', and there are none"),
+        ({"carry": "policy", "generator": "td3", "reward": "dac"}, "carry='policy' is not for td3"),
+        ({"start_steps": -1}, "start_steps is -1"),
+        ({"start_steps": 100, "warmup_steps": 100}, "start_steps is 100; expected .* the 100 warm"),
+        (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
         ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
@@ -35,14 +49,22 @@ def test_what_makes_no_sense_is_refused(change, message):
         replace(CORRECTED, **change)
 
 
-@pytest.mark.parametrize("reward", ["dac", "environment", "frozen"])
+@pytest.mark.parametrize(
+    "reward", ["dac", "gail-survival", "gail-termination", "environment", "frozen"]
+)
 def test_td3_serves_the_rewards_without_log_prob(reward):
     assert replace(CORRECTED, generator="td3", reward=reward).generator == "td3"
 
 
 @pytest.mark.parametrize(
     ("reward", "learned"),
-    [("implementation-1", True), ("dac", True), ("environment", False), ("frozen", False)],
+    [
+        ("implementation-1", True),
+        ("dac", True),
+        ("gail-survival", True),
+        ("environment", False),
+        ("frozen", False),
+    ],
 )
 def test_which_rewards_are_learned(reward, learned):
     assert Config(reward=reward).learns_reward is learned

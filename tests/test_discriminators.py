@@ -9,14 +9,16 @@ from offairl_lite.discriminators import (
     Reward,
     binary_cross_entropy,
     gradient_penalty,
+    per_episode,
     shaped_reward,
 )
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import SquashedGaussian
 from offairl_lite.replay import Batch
+from offairl_lite.rewards import OF_LOGIT
 from offairl_lite.streams import Streams
 
-OBS, ACT, B = 3, 2, 4
+OBS, ACT, B, HORIZON = 3, 2, 4, 2
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
 CONFIGS = {
     "r(s)": replace(CORRECTED, **SMALL),
@@ -25,15 +27,17 @@ CONFIGS = {
     "released r(s)": replace(RELEASE, **SMALL),
     "released r(s, a)": replace(RELEASE, reward="implementation-3", **SMALL),
     "dac on probability": replace(CORRECTED, reward="dac", penalty_on="probability", **SMALL),
+    "gan-gcl": replace(CORRECTED, reward="gan-gcl", generator="ppo", update_every=HORIZON, **SMALL),
 }
-AIRL = [name for name in CONFIGS if "dac" not in name]
+AIRL = [name for name in CONFIGS if "r(s" in name]
 every_config = pytest.mark.parametrize("name", CONFIGS)
 
 
 def make(config, seeds=(0, 1), dtype=torch.float64):
     """A discriminator with random normaliser; double precision, unless it is to be trained."""
     normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
-    made = Discriminator(config, OBS, ACT, Streams(seeds), normaliser)
+    horizon = HORIZON if config.reward == "gan-gcl" else 1
+    made = Discriminator(config, OBS, ACT, Streams(seeds), normaliser, horizon)
     if dtype == torch.float64:
         made.normaliser = Normaliser(*(part.double() for part in normaliser))
         made.reward_params = made.reward_params.detach().double().requires_grad_()
@@ -150,7 +154,7 @@ def test_the_penalty_is_that_of_autograd_between_both_sides(name):
 
     mixed = [between(*pair, k) for k, pair in enumerate(zip(*map(scaled, (expert, policy))))]  # noqa: B905
     logit = discriminator.f(*mixed)
-    if "dac" not in name:
+    if name in AIRL:
         logit = logit - between(expert_log_prob, policy_log_prob, 3)
     output = logit if on_logit else torch.sigmoid(logit)
     by = mixed if on_logit else mixed[:1]
@@ -225,12 +229,55 @@ def test_each_implementation_pays_what_it_says(number):
     torch.testing.assert_close(discriminator.reward(batch, log_prob), expected.detach())
 
 
-def test_dac_pays_its_logit():
-    discriminator, batch = make(CONFIGS["dac"]), data()[0]
-    expected = discriminator.f(
+@pytest.mark.parametrize("name", OF_LOGIT)
+def test_a_discriminator_without_the_policy_pays_what_its_logit_is_worth(name):
+    discriminator, batch = make(replace(CONFIGS["dac"], reward=name)), data()[0]
+    logit = discriminator.f(
         discriminator.normaliser(batch.obs), batch.action, discriminator.normaliser(batch.next_obs)
     )
-    torch.testing.assert_close(discriminator.reward(batch, None), expected.detach())
+    expected = OF_LOGIT[name](logit).detach()
+    torch.testing.assert_close(discriminator.reward(batch, None), expected)
+    # What is kept of it is the logit, whatever is made of it.
+    torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), logit.detach())
+
+
+@pytest.mark.parametrize("name", ["gail-survival", "gail-termination"])
+def test_gail_s_discriminator_is_trained_as_dac_s(name):
+    batches = data(dtype=torch.float32)
+    one, other = (train(replace(CONFIGS["dac"], reward=r), (0, 1), batches) for r in ("dac", name))
+    assert torch.equal(one[0], other[0])
+
+
+# GAN-GCL's discriminator, of whole episodes.
+
+
+def test_a_trajectory_s_logit_is_the_sum_of_its_steps():
+    logit = torch.tensor([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])
+    assert per_episode(logit, 2).tolist() == [[3, 7], [11, 15]]
+    assert torch.equal(per_episode(logit, 1), logit)
+
+
+def test_log_odds_of_a_trajectory_are_those_of_its_density():
+    """D(τ) = exp Σ r / (exp Σ r + Π π), with what the dynamics contribute cancelled."""
+    discriminator, (expert, policy, *logs, c) = make(CONFIGS["gan-gcl"]), data()
+
+    def d(batch, log_prob):
+        x = torch.cat([discriminator.normaliser(batch.obs), batch.action], -1)
+        r = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
+        weight = r.view(2, -1, HORIZON).exp().prod(-1)
+        return weight / (weight + log_prob.view(2, -1, HORIZON).exp().prod(-1))
+
+    d_expert, d_policy = d(expert, logs[0]), d(policy, logs[1])
+    metrics = discriminator.loss(expert, policy, *logs, c)[1]
+    expected = -d_expert.log().mean(1) - (1 - d_policy).log().mean(1)
+    torch.testing.assert_close(metrics["cross_entropy"], expected.detach())
+
+
+def test_each_step_of_a_trajectory_is_paid_its_share_of_the_log_odds():
+    discriminator, (batch, _, log_prob, *_) = make(CONFIGS["gan-gcl"]), data()
+    paid = discriminator.reward(batch, log_prob)
+    r = discriminator.frozen(batch.obs, batch.action)
+    torch.testing.assert_close(paid, r - log_prob.detach())
 
 
 def train(config, seeds, batches, updates=5):

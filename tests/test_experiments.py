@@ -20,7 +20,9 @@ def test_full_scale_is_the_paper_s_protocol(name):
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_demo_scale_is_small(name):
-    assert EXPERIMENTS[name].configs["demo"].total_steps <= 20_000
+    config = EXPERIMENTS[name].configs["demo"]
+    # On-policy learning takes ten times the steps, and each of them less.
+    assert config.total_steps <= (60_000 if config.generator == "ppo" else 20_000)
     assert len(EXPERIMENTS[name].seeds["demo"]) == 5
 
 
@@ -44,6 +46,23 @@ def test_experts_are_three_learners_on_the_eight_tasks_of_the_paper():
         assert (run.reward, run.batch_size, run.total_steps) == ("environment", 100, 1_000_000)
     maze = differences(runs["PointMazeLeft-sac-learned"], find("maze-expert").configs["full"])
     assert maze == {}
+
+
+def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_their_reward():
+    rewards = set()
+    for name in ("maze-gail", "maze-airl-ppo", "hopper-gail"):
+        experiment = find(name)
+        for scale, config in experiment.configs.items():
+            assert (config.generator, config.replay_size) == ("ppo", config.update_every)
+            for changes in experiment.variants.values():
+                assert set(differences(config, replace(config, **changes))) <= {"reward"}
+                rewards.add(replace(config, **changes).reward)
+            if scale == "demo":
+                assert config.total_steps % config.update_every == 0
+    assert rewards == {
+        *("gail-survival", "gail-termination", "dac", "gan-gcl"),
+        *("implementation-1", "implementation-2"),
+    }
 
 
 def test_what_the_maze_adds_to_the_corrected_preset():

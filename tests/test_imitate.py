@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from offairl_lite.config import RELEASE
+from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
-from offairl_lite.policies import SquashedGaussian
-from offairl_lite.sac import SAC
+from offairl_lite.policies import Policy, SquashedGaussian
+from offairl_lite.ppo import PPO
+from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 
 MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
@@ -66,10 +68,22 @@ def test_same_seeds_same_run(tiny, maze):
     assert_same(run(tiny, (1, 3), maze), run(tiny, (1, 3), maze))
 
 
-def test_a_member_trains_alone_as_among_others(tiny, maze):
+ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50, "epochs": 3}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"temperature": None},
+        {**ON_POLICY, "reward": "implementation-2"},
+        {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
+    ],
+    ids=["sac", "ppo", "gan-gcl"],
+)
+def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
     # The same numbers are drawn; sums differ in their order only, which 400 updates of each
     # network leave far below 1e-3.
-    config = replace(tiny, temperature=None, total_steps=400)
+    config = replace(tiny, total_steps=400, **changes)
     together, alone = run(config, (1, 3, 7), maze), run(config, (3,), maze)
     torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
     torch.testing.assert_close(together.reward.params[1:2], alone.reward.params, rtol=0, atol=1e-3)
@@ -126,6 +140,10 @@ def test_the_discriminator_is_trained_first_and_the_generator_after_it(tiny, maz
         {"reward": "implementation-3"},
         {"reward": "dac", "generator": "td3"},
         {"reward": "dac"},
+        {"reward": "gail-survival"},
+        {"reward": "gail-termination", "generator": "td3"},
+        {"reward": "gail-survival", **ON_POLICY},
+        {"reward": "implementation-4", **ON_POLICY, "discriminator_updates": 5},
         {"warmup_hold": 5.0, "temperature": None},
     ],
     ids=str,
@@ -225,6 +243,101 @@ def test_members_that_end_at_different_times_train_in_blocks(
         assert (trainer.demonstrations.obs[:, -1] == 1).sum() == 5
 
 
+# On-policy training.
+
+
+def test_ppo_learns_from_each_block_once_and_never_from_the_warm_up(tiny, monkeypatch):
+    blocks, original = [], PPO.rollout
+
+    def rollout(self, block, reward):
+        blocks.append(block)
+        return original(self, block, reward)
+
+    monkeypatch.setattr(PPO, "rollout", rollout)
+    config = replace(tiny, reward="environment", **ON_POLICY, warmup_steps=70, total_steps=200)
+    trainer = Trainer(replace(config, replay_size=1000), (0, 1))
+    finish(trainer)
+    # From step 70 on, in blocks of 50; the last 30 steps are no block.
+    assert [block.obs.shape[1] for block in blocks] == [50, 50]
+    for member in (0, 1):
+        held = trainer.replay.held(member)
+        for parts in zip(held, *blocks, strict=True):
+            everything, *some = parts
+            assert torch.equal(everything[70:170], torch.cat([x[member] for x in some]))
+
+
+def test_ppo_updates_so_many_epochs_of_minibatches_and_the_discriminator_as_told(
+    tiny, maze, monkeypatch
+):
+    order = []
+    for kind in (Discriminator, PPO):
+        original = kind.update
+
+        def update(self, *batch, original=original):
+            order.append(type(self))
+            return original(self, *batch)
+
+        monkeypatch.setattr(kind, "update", update)
+    config = replace(tiny, **ON_POLICY, discriminator_updates=4)
+    run(config, (0,), maze)
+    # 50 steps are six minibatches of 8, and one of 2.
+    assert order == ([Discriminator] * 4 + [PPO] * 3 * 7) * 2
+
+
+def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer(
+    tiny, maze, monkeypatch
+):
+    seen, original = [], Discriminator.update
+
+    def update(self, expert, policy, *rest):
+        seen.append(policy)
+        return original(self, expert, policy, *rest)
+
+    monkeypatch.setattr(Discriminator, "update", update)
+    trainer = Trainer(replace(tiny, **ON_POLICY), (0,), maze)
+    until(trainer, lambda t: seen)
+    block = {tuple(row) for row in trainer.replay.last(50).obs[0].tolist()}
+    assert {tuple(row) for batch in seen for row in batch.obs[0].tolist()} <= block
+
+
+def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, monkeypatch):
+    seen, original = [], Discriminator.update
+
+    def update(self, expert, policy, *rest):
+        seen.append((expert, policy))
+        return original(self, expert, policy, *rest)
+
+    monkeypatch.setattr(Discriminator, "update", update)
+    blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200}
+    config = replace(tiny, **blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
+    trainer = Trainer(replace(config, total_steps=300), (0, 1), maze)
+    until(trainer, lambda t: seen)
+    assert len(seen) == 3
+    shown, last = maze.transitions.obs.view(-1, 100, 3), trainer.replay.last(200).obs
+    for expert, policy in seen:
+        assert expert.obs.shape == policy.obs.shape == (2, 200, 3)
+        for member in (0, 1):
+            for episode in expert.obs[member].view(2, 100, 3):
+                assert any(torch.equal(episode, whole) for whole in shown)
+            for episode in policy.obs[member].view(2, 100, 3):
+                assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
+
+
+def test_gan_gcl_is_for_episodes_of_one_length(tiny, maze, random_demonstrations):
+    config = replace(tiny, **ON_POLICY, reward="gan-gcl")
+    with pytest.raises(ValueError, match=r"whole episodes of one length.*multiples"):
+        Trainer(config, (0,), maze)
+    hopper = replace(config, env_id=HOPPER)
+    with pytest.raises(ValueError, match=r"whole episodes of one length: the demonstrations"):
+        Trainer(hopper, (0,), random_demonstrations(HOPPER, episodes=3))
+    # Demonstrations that are all of one length, on a task where ours are not.
+    pendulum = random_demonstrations("Pendulum-v1")
+    short = Demonstrations("Pendulum-v1", pendulum.transitions, (100,) * 4)
+    config = replace(config, env_id="Pendulum-v1", update_every=100, replay_size=100)
+    with pytest.raises(ValueError, match=r"100 as demonstrated, and Pendulum-v1 has ended"):
+        run(config, (0,), short)
+
+
 def test_a_time_limit_makes_no_absorbing_state(tiny, maze):
     trainer = Trainer(replace(tiny, absorbing="bootstrap"), (0, 1), maze)
     finish(trainer)
@@ -307,8 +420,10 @@ def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeyp
         {"env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap", "replay_size": 60},
         {"env_id": HOPPER, "update_every": 30, "absorbing": "analytic", "reward": "dac"},
         {"env_id": "Pendulum-v1", "reward": "environment", "generator": "td3", "update_every": 40},
+        {**ON_POLICY, "env_id": HOPPER, "reward": "gail-survival"},
+        {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
     ],
-    ids=["maze", "bootstrap", "analytic", "td3"],
+    ids=["maze", "bootstrap", "analytic", "td3", "ppo", "gan-gcl"],
 )
 def test_a_run_that_is_put_back_goes_the_same_way(
     tiny, random_demonstrations, tmp_path, steps, changes
@@ -400,3 +515,121 @@ def test_no_seeds_no_run(tiny, maze):
 def test_an_unknown_task_is_refused(tiny):
     with pytest.raises(ValueError, match="unknown environment 'Nowhere-v0'"):
         Trainer(replace(tiny, env_id="Nowhere-v0", reward="environment"), (0,))
+
+
+# What comes from other runs.
+
+
+def earlier_policy(config, members, shift=0.0):
+    actor = stochastic_actor(config, 3, 2)
+    normaliser = Normaliser(torch.full((members, 1, 3), shift), torch.full((members, 1, 3), 2.0))
+    return Policy(MAZE, actor, actor.init(Streams(range(10, 10 + members))), normaliser)
+
+
+MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
+
+
+def built(config, **given):
+    """A trainer whose learners have just been made."""
+    trainer = Trainer(config, range(2), **given)
+    until(trainer, lambda trainer: trainer.generator is not None)
+    return trainer
+
+
+@pytest.mark.parametrize("kind", [{}, MCP])
+def test_a_policy_that_is_carried_over_acts_as_before(tiny, kind):
+    config = replace(tiny, reward="environment", carry="policy", **kind)
+    policy = earlier_policy(config, 2, shift=0.3)
+    now = built(config, policy=policy).generator.policy
+    assert torch.equal(now.params, policy.params)
+    obs = Streams((0, 1)).normal(5, 3)
+    torch.testing.assert_close(now.act(obs), policy.act(obs))
+
+
+def test_primitives_are_carried_over_and_the_gate_begins_anew(tiny):
+    config = replace(tiny, reward="environment", carry="primitives", **MCP)
+    policy, fresh = earlier_policy(config, 2), built(replace(config, carry="nothing"))
+    carried = built(config, policy=policy).generator
+    *others, gate = carried.actor.split(carried.actor_params.detach())
+    *expected, earlier_gate = carried.actor.split(policy.params)
+    assert all(map(torch.equal, others, expected))
+    assert not torch.equal(gate, earlier_gate)
+    assert torch.equal(gate, fresh.generator.actor.split(fresh.generator.actor_params)[-1])
+
+
+def test_of_a_carried_policy_only_the_gate_need_learn(tiny):
+    config = replace(
+        tiny, reward="environment", carry="primitives", fixed_primitives=True, actor_delay=1, **MCP
+    )
+    policy = earlier_policy(config, 2)
+    end = run_with(config, policy=policy).policy
+    before, after = (policy.actor.split(p.params) for p in (policy, end))
+    assert all(map(torch.equal, after[:2], before[:2]))
+    assert not torch.equal(after[2], before[2])
+
+
+def run_with(config, **given):
+    return train(config, range(2), **given, progress=False)
+
+
+def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
+    config = replace(tiny, reward="environment", start_steps=40, total_steps=400)
+    guide, trainer = earlier_policy(config, 2), None
+    trainer = Trainer(config, range(2), guide=guide)
+    guided_steps, actions, lengths = torch.zeros(2, dtype=torch.long), [], []
+    step = trainer.env.step
+
+    def watch(action):
+        seen = torch.from_numpy(trainer.obs).float().unsqueeze(1)
+        theirs = guide.act(seen)[:, 0].numpy()
+        actions.append((trainer.guided.clone().numpy() > 0, action, theirs))
+        return step(action)
+
+    trainer.env.step = watch
+    while not trainer.finished:
+        if trainer.steps % 100 == 0 and len(actions) == trainer.steps:
+            lengths.append(trainer.guided.clone())
+        guided_steps = sum(torch.from_numpy(guided).long() for guided, *_ in actions)
+        trainer.advance()
+    for guided, action, theirs in actions:
+        np.testing.assert_allclose(action[guided], theirs[guided], atol=1e-6)
+        assert not np.isclose(action[~guided], theirs[~guided]).all(1).any()
+    guided_steps = sum(torch.from_numpy(guided).long() for guided, *_ in actions)
+    assert (guided_steps > 0).all()
+    assert trainer.replay.added.tolist() == (400 - guided_steps).tolist()
+    drawn = torch.stack(lengths)
+    assert (drawn <= 40).all()
+    assert len(drawn.unique()) > 4
+
+
+def test_for_how_long_a_guide_acts_is_uniform(tiny):
+    config = replace(tiny, reward="environment", start_steps=3, update_every=50)
+    trainer = Trainer(config, range(100), guide=earlier_policy(config, 100))
+    counts = torch.zeros(4)
+    for _ in range(20):
+        trainer._start(np.ones(100, bool))
+        counts += trainer.guided.bincount(minlength=4)
+    assert (counts / counts.sum()).sub(0.25).abs().max() < 0.04  # 4 standard deviations
+
+
+@pytest.mark.parametrize(
+    ("change", "given", "message"),
+    [
+        ({"carry": "policy"}, (), "carry='policy' and a policy"),
+        ({}, ("policy",), "carry='nothing' and a policy"),
+        ({"start_steps": 5}, (), "start_steps=5 and a guide"),
+        ({}, ("guide",), "start_steps=0 and a guide"),
+    ],
+)
+def test_what_comes_from_other_runs_is_needed_and_not_more(tiny, change, given, message):
+    config = replace(tiny, reward="environment", **change)
+    with pytest.raises(ValueError, match=message):
+        Trainer(config, (0,), **{name: earlier_policy(config, 1) for name in given})
+
+
+def test_policies_must_be_as_many_and_of_the_architecture(tiny):
+    config = replace(tiny, reward="environment", carry="policy")
+    with pytest.raises(ValueError, match="3 policies for 2 seeds"):
+        built(config, policy=earlier_policy(config, 3))
+    with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
+        built(replace(config, **MCP), policy=earlier_policy(config, 2))

@@ -10,7 +10,7 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config streams execution envs tabular networks policies replay absorbing evaluate
-demonstrations rewards discriminators sac td3 imitate records runs experiments jobs sweep plots
+demonstrations rewards discriminators sac td3 ppo imitate records runs experiments jobs sweep plots
 video bench cli
 """.split()  # noqa: SIM905
 FILES = sorted(ROOT.rglob("*.py"))

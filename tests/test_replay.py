@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from offairl_lite.replay import Batch, Replay, pack, unpack
+from offairl_lite.replay import Batch, Replay, choose, pack, unpack
 from offairl_lite.streams import Streams
 
 
@@ -79,6 +79,34 @@ def test_sampling_is_uniform():
     assert (counts - 10_000).abs().max() < 4 * (40_000 * 0.25 * 0.75) ** 0.5
 
 
+def test_the_last_are_given_in_their_order():
+    replay = Replay(2, 3, 2, 1, slots=4)
+    for step in range(6):
+        replay.add(numbered([step, 10 + step]))
+    replay.add(numbered([16]), torch.tensor([1]))
+    assert replay.last(2).obs[..., 0].tolist() == [[4, 5], [15, 16]]
+    for whole, some in zip(
+        replay.last(3), zip(*map(replay.held, (0, 1)), strict=True), strict=True
+    ):
+        assert torch.equal(whole, torch.stack(some))
+    with pytest.raises(ValueError, match=r"last 4 transitions are wanted; held are \[3, 3\]"):
+        replay.last(4)
+
+
+def test_episodes_are_drawn_whole():
+    replay = Replay(1, 6, 2, 1, slots=8)
+    for step in range(12):
+        replay.add(numbered([step]))
+    drawn = replay.sample(Streams((0,)), 300, horizon=3).obs[0, :, 0].view(100, 3).tolist()
+    assert {tuple(episode) for episode in drawn} == {(6, 7, 8), (9, 10, 11)}
+
+
+def test_a_horizon_of_one_step_is_a_draw_of_rows():
+    one, other = (choose(Streams((0, 1)), *given) for given in (([5, 9], 20), ([5, 9], 20, 1)))
+    assert torch.equal(one, other)
+    assert torch.equal(one, Streams((0, 1)).integers([5, 9], 20))
+
+
 def test_a_replay_that_is_put_back_finds_its_rows_as_they_were():
     """As many steps as it has slots more than capacity; the same rows are then drawn."""
     replay = Replay(2, 3, 2, 1, slots=5)
@@ -122,6 +150,13 @@ def test_a_file_takes_its_room_at_once(tmp_path):
     file = tmp_path / "rows"
     Replay(4, 10_000, 20, 6, file=file)
     assert file.stat().st_blocks * 512 >= file.stat().st_size == 4 * 10_000 * 48 * 4
+
+
+def test_a_member_without_an_episode_cannot_be_sampled():
+    replay = Replay(1, 9, 2, 1)
+    replay.add(numbered([1]))
+    with pytest.raises(ValueError, match=r"\(sizes \[1\]\) or has no whole episode"):
+        replay.sample(Streams((0,)), 2, horizon=2)
 
 
 def test_an_empty_member_cannot_be_sampled():

@@ -1,7 +1,14 @@
 import pytest
 import torch
 
-from offairl_lite.rewards import IMPLEMENTATIONS, dac, gail_survival, gail_termination, log_odds
+from offairl_lite.rewards import (
+    IMPLEMENTATIONS,
+    OF_LOGIT,
+    dac,
+    gail_survival,
+    gail_termination,
+    log_odds,
+)
 
 LOGIT = torch.linspace(-20, 20, 41, dtype=torch.float64)
 D = torch.sigmoid(LOGIT)
@@ -38,7 +45,7 @@ def test_gail_s_two_signs():
     assert (gail_termination(LOGIT) < 0).all()
 
 
-@pytest.mark.parametrize("reward", [gail_survival, gail_termination, dac])
+@pytest.mark.parametrize("reward", OF_LOGIT.values(), ids=OF_LOGIT)
 def test_rewards_of_a_certain_discriminator_are_finite_and_rise_with_the_logit(reward):
     values = reward(torch.tensor([-1000.0, -1.0, 1.0, 1000.0]))
     assert values.isfinite().all()

@@ -21,9 +21,10 @@ from offairl_lite import networks, records, runs
 from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.discriminators import Reward
 from offairl_lite.imitate import Trainer
-from offairl_lite.networks import Normaliser, StackedMLP
+from offairl_lite.networks import Normaliser, StackedMLP, load_weights, save_weights
+from offairl_lite.policies import Policy
 from offairl_lite.replay import Batch
-from offairl_lite.sac import SAC
+from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 
 MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
@@ -192,18 +193,21 @@ KILLED = {
     "bootstrapped": {**HOP, "reward": "implementation-1", "absorbing": "bootstrap"},
     "analytic": {**HOP, "reward": "dac", "absorbing": "analytic", "temperature": None},
     "pendulum": {"env_id": "Pendulum-v1", "reward": "environment", "update_every": 50},
+    "all from other runs": {"reward": "frozen", "carry": "primitives", "start_steps": 30}
+    | {"primitives": 2, "trunk_hidden": (8,), "primitive_hidden": (), "gate_hidden": (8,)},
+    "gail and ppo": {**HOP, "reward": "gail-survival", "generator": "ppo"},
 }
 
 
 @pytest.mark.parametrize("case", KILLED)
-def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, given, tmp_path):
+def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plain, given, tmp_path):
     config = replace(tiny, total_steps=300, **KILLED[case])
     demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
     rng = np.random.default_rng(list(KILLED).index(case))
 
     def make(name):
-        folder = tmp_path / name
-        runs.create(folder, config, SEEDS, demonstrations=demonstrations, checkpoint_every=60)
+        folder, given = tmp_path / name, {"demonstrations": demonstrations, **inherited(config)}
+        runs.create(folder, config, SEEDS, checkpoint_every=60, **given)
         return folder
 
     whole = make("whole")
@@ -370,13 +374,56 @@ def frozen_reward(members):
     return Reward(MAZE, net, True, params, Normaliser.identity(members, 3))
 
 
+def policy(config):
+    """A policy that has not learned anything, of two members."""
+    actor = stochastic_actor(config, 3, 2)
+    return Policy(MAZE, actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
+
+
+def inherited(config):
+    """What a run of two members has of other runs."""
+    if config.reward != "frozen":
+        return {}
+    guide = policy(replace(config, primitives=None, carry="nothing"))
+    return {"reward": frozen_reward(2), "policy": policy(config), "guide": guide}
+
+
+def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
+    config = replace(plain, carry="policy", start_steps=20)
+    folder, given = tmp_path / "run", {"policy": policy(plain), "guide": policy(plain)}
+    runs.create(folder, config, SEEDS, shards=2, checkpoint_every=40, **given)
+    resume(folder)
+    assert records.read(folder).policy is not None
+    with pytest.raises(ValueError, match="of another run the policy and the guide, of 2 members"):
+        runs.add_seeds(folder, (8,))
+    runs.extend(folder, 200)
+    changed = replace(given["guide"], params=given["guide"].params + 1)
+    changed.save(folder / "guide.safetensors")
+    with pytest.raises(ValueError, match=r"of another run than .*: guide was .* put back"):
+        resume(folder)
+
+
+def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folder):
+    run(folder, plain)
+    (shard,) = records.Plan.read(folder).shards
+    path = runs.home(folder, shard) / "checkpoint.safetensors"
+    state, about = load_weights(path, "checkpoint")
+    for name in ("carry", "start_steps"):
+        del about["identity"][name]
+    del about["digest"], state["guided"]
+    save_weights(path, state, {**about, "digest": runs._digest(state, about)})
+    runs.extend(folder, 200)
+    resume(folder)
+    assert records.read(folder).steps[-1] == 200
+
+
 def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
     config, reward = replace(plain, reward="frozen"), frozen_reward(3)
     folder = tmp_path / "run"
     runs.create(folder, config, (3, 7, 5), reward=reward, shards=2, checkpoint_every=40)
     resume(folder)
     assert torch.equal(records.read(folder).reward.params, reward.params)
-    with pytest.raises(ValueError, match="frozen reward, which has 3 members"):
+    with pytest.raises(ValueError, match="of another run the reward, of 3 members"):
         runs.add_seeds(folder, (8,))
     runs.extend(folder, 200)
     replace(reward, params=reward.params + 1).save(folder / "frozen.safetensors")
@@ -590,7 +637,7 @@ def test_a_full_disk_loses_nothing(name, folder, plain, tmp_path, monkeypatch):
 def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
     config = replace(tiny, **KILLED[case])
     demonstrations = given(config.env_id)[0] if config.learns_reward else None
-    run(folder, config, demonstrations=demonstrations)
+    run(folder, config, demonstrations=demonstrations, **inherited(config))
     home = folder / "members" / "3-7"
     replay, checkpoint = (
         (home / f).stat().st_size for f in ("replay.f32", "checkpoint.safetensors")

@@ -237,7 +237,7 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
     assert given["reward=dac"]["demonstrations"].lengths == (5, 5)
     assert given["reward=dac"]["subsample"] == 20
     assert given["reward=environment"]["demonstrations"] is None
-    with pytest.raises(ValueError, match=r"temperature=0.1 is paid by the reward of another run"):
+    with pytest.raises(ValueError, match=r"a reward of another run is needed: give --fro"):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()
 
