@@ -61,6 +61,9 @@ _ACTORS = {
 }
 
 
+_SMALL_MCP = {"trunk_hidden": (64,), "primitive_hidden": (64,), "gate_hidden": (64, 64)}
+
+
 def _both(demo: dict, full: dict, **common) -> Mapping[Scale, Config]:
     return {
         "demo": replace(MAZE_DEMO, **common, **demo),
@@ -135,6 +138,24 @@ def _expert_variants() -> dict[str, dict[str, Any]]:
     }
 
 
+def _retraining_variants() -> dict[str, dict[str, Any]]:
+    """Return what may be kept of the policy, each with and without random starts.
+
+    What begins with a policy has one episode of random actions, and no other help to explore.
+    """
+    kept: dict[str, dict[str, Any]] = {"scratch": {}, "policy": {"carry": "policy"}}
+    for k in (4, 8):
+        actor = {"primitives": k, "carry": "primitives"}
+        kept |= {f"{k}-gate": {**actor, "fixed_primitives": True}, f"{k}-both": actor}
+    variants = {}
+    for name, changes in kept.items():
+        alone = {"warmup_steps": 100, "warmup_hold": 1.0} if "carry" in changes else {}
+        variants[name] = {**changes, **alone}
+        for guide in ("own", "expert"):
+            variants[f"{name}-{guide}-starts"] = {**variants[name], "start_steps": 50}
+    return variants
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
@@ -170,7 +191,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "maze-mcp": Experiment(
         "Off-policy AIRL on PointMazeLeft with actors of several primitives: 6 runs",
-        _both({"trunk_hidden": (64,), "primitive_hidden": (64,), "gate_hidden": (64, 64)}, {}),
+        _both(_SMALL_MCP, {}),
         SEEDS,
         variants=_ACTORS,
     ),
@@ -213,6 +234,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _hopper(reward="dac", absorbing="bootstrap"),
         SEEDS,
         variants=_DAC,
+    ),
+    "maze-retraining": Experiment(
+        "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",
+        _both({"total_steps": 8_000, **_SMALL_MCP}, {}, env_id=RIGHT, reward="frozen"),
+        SEEDS,
+        reward_from="maze-imitation",
+        variants=_retraining_variants(),
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",
