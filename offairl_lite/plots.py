@@ -137,7 +137,7 @@ def arrows(
         width=0.004,
         headwidth=4,
         color=color,
-        zorder=2,
+        zorder=1.5,
     )
 
 

@@ -305,16 +305,17 @@ def sample(
 def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S A"]:
     """Return the discounted counts of the demonstrated pairs (s, a), averaged over trajectories.
 
-    It estimates `occupancy` without bias where trajectories are as long as the horizon; without a
-    horizon it lacks the share γ^T of what comes after their end.
+    It estimates `occupancy`, and adds up to the same: without a horizon the counts of T actions are
+    divided by 1 - γ^T, as if all that comes later were like what was seen.
 
     Args:
         mdp: the process in which they were recorded.
         trajectories: N of them.
 
     Raises:
-        ValueError: the shapes do not fit; a state or an action is not one of the process; or a
-            trajectory starts or goes where the process cannot: which one, and at which step.
+        ValueError: the shapes do not fit, or not the horizon; a state or an action is not one of
+            the process; or a trajectory starts or goes where the process cannot: which one, and at
+            which step.
     """
     states, actions = (np.asarray(part) for part in trajectories)
     if (
@@ -326,8 +327,11 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
             f"expected states (N, T + 1) and actions (N, T), got {states.shape} and {actions.shape}"
         )
     length = actions.shape[1]
-    if mdp.horizon is not None and length > mdp.horizon:
-        raise ValueError(f"trajectories of {length} actions exceed the horizon {mdp.horizon}")
+    if mdp.horizon not in (None, length):
+        raise ValueError(
+            f"trajectories of {length} actions cannot be compared with occupancies over the "
+            f"horizon {mdp.horizon}; make the two equal"
+        )
     for name, index, bound in (
         ("state", states, mdp.num_states),
         ("action", actions, mdp.num_actions),
@@ -352,8 +356,9 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
         raise ValueError(
             f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
         )
-    weight = np.broadcast_to(mdp.discount ** np.arange(length) / len(states), actions.shape)
-    counts = np.bincount(rows.ravel(), weight.ravel(), mdp.transition.shape[0])
+    weight = mdp.discount ** np.arange(length)
+    weight = np.tile(weight * _mass(mdp) / weight.sum() / len(rows), len(rows))
+    counts = np.bincount(rows.ravel(), weight, mdp.transition.shape[0])
     return counts.reshape(mdp.num_states, mdp.num_actions)
 
 
@@ -446,8 +451,8 @@ def log_likelihood(
 
     Raises:
         ValueError: the form is unknown; what `soft_value_iteration` or `path_messages` refuse; a
-            temperature that is not above 0; or `demonstrated` has another shape, is negative, or
-            visits what cannot be reached.
+            temperature that is not above 0; or `demonstrated` has another shape, is negative, adds
+            up to something else than occupancies do, or visits what cannot be reached.
     """
     reward = mdp.expected_reward(reward)
     _check_positive(temperature)
@@ -734,13 +739,26 @@ def _checked_policy(mdp: MDP, policy: Array) -> Float[Array, "*T S A"]:
     return np.broadcast_to(policy, timed)
 
 
+def _mass(mdp: MDP) -> float:
+    """1 + γ + γ² + ..., what every occupancy adds up to."""
+    if mdp.horizon is None:
+        return 1 / (1 - mdp.discount)
+    return float((mdp.discount ** np.arange(mdp.horizon)).sum())
+
+
 def _check_demonstrated(mdp: MDP, demonstrated: Float[Array, "S A"]) -> None:
     """Refuse what no policy of the process can have done."""
     shape = (mdp.num_states, mdp.num_actions)
     if demonstrated.shape != shape:
         raise ValueError(f"demonstrated must have shape {shape}, not {demonstrated.shape}")
-    if not (demonstrated >= 0).all() or demonstrated.sum() == 0:
-        raise ValueError("demonstrated must hold visits: at least 0, and not all 0")
+    if not ((demonstrated >= 0) & (demonstrated < np.inf)).all():
+        raise ValueError("demonstrated must hold visits, which are at least 0 and finite")
+    if not np.isclose(demonstrated.sum(), _mass(mdp), rtol=1e-4):
+        raise ValueError(
+            f"demonstrated adds up to {demonstrated.sum():.6g}, but every occupancy of the process "
+            f"to {_mass(mdp):.6g}; count with the same discount and horizon, over whole episodes, "
+            "or every reward is too high or too low"
+        )
     reached = mdp.initial > 0
     for _ in range(mdp.num_states if mdp.horizon is None else mdp.horizon - 1):
         grown = reached | (mdp.push(np.broadcast_to(reached[:, None], shape)) > 0)

@@ -290,8 +290,10 @@ def test_sampling_belongs_to_its_generator():
 def test_counts_are_discounted_and_averaged():
     mdp = MDP(HALF, START_2, 0.5)
     paths = Trajectories(np.array([[0, 1, 1], [0, 0, 1]]), np.array([[2, 0], [2, 1]]))
-    expected = [[0, 0.25, 1.0], [0.25, 0, 0]]
-    np.testing.assert_array_equal(empirical_occupancy(mdp, paths), expected)
+    expected = np.array([[0, 0.25, 1.0], [0.25, 0, 0]])
+    np.testing.assert_allclose(empirical_occupancy(replace(mdp, horizon=2), paths), expected)
+    # What comes after the end is as what was seen.
+    np.testing.assert_allclose(empirical_occupancy(mdp, paths), 4 / 3 * expected)
 
 
 def test_lengths_that_cannot_be_are_refused():
@@ -300,8 +302,8 @@ def test_lengths_that_cannot_be_are_refused():
     for process, length in ((mdp, None), (mdp, 0), (timed, 5)):
         with pytest.raises(ValueError, match=f"length must be .* not {length}"):
             sample(process, policy, 1, rng, length)
-    with pytest.raises(ValueError, match="5 actions exceed the horizon 4"):
-        empirical_occupancy(timed, sample(mdp, policy, 1, rng, 5))
+    with pytest.raises(ValueError, match=r"3 actions .* the horizon 4; make the two equal"):
+        empirical_occupancy(timed, sample(timed, policy, 1, rng, 3))
 
 
 def test_demonstrations_of_another_process_are_refused():
@@ -516,6 +518,7 @@ def refused():
     demonstrated, features = occupancy(mdp, random_policy(mdp)), eye_array(6)
     yield (mdp, demonstrated.T, features), {}, r"demonstrated must have shape \(6, 3\), not \(3, 6"
     yield (mdp, -demonstrated, features), {}, "demonstrated must hold visits"
+    yield (mdp, 0.9 * demonstrated, features), {}, "adds up to 9, but every occupancy .* to 10; "
     yield (mdp, demonstrated, eye_array(3)), {}, r"\(6, K\) or \(18, K\), not \(3, 3\)"
     yield (mdp, demonstrated, features, 0), {}, "temperature must be above 0 and finite, not 0"
     yield (mdp, demonstrated, features), {"penalty": -1}, "penalty must be at least 0, not -1"
@@ -534,18 +537,21 @@ def test_unreachable_demonstrations_are_refused(horizon):
     """A corridor of four states; with three actions no policy is seen to act at its end."""
     walk = np.eye(5)[[[0, 1], [1, 2], [2, 3], [3, 3], [4, 4]]]
     mdp = MDP(walk, np.eye(5)[0], 0.9, horizon)
-    demonstrated = np.zeros((5, 2))
-    demonstrated[0, 1] = 1
-    maxent_irl(mdp, demonstrated, eye_array(5), iterations=1)
-    demonstrated[3, 0] = 1
-    if horizon:
-        with pytest.raises(ValueError, match=r"visit 1 states .* the first of them 3"):
-            maxent_irl(mdp, demonstrated, eye_array(5))
-    else:
+    mass = 10 if horizon is None else 1 + 0.9 + 0.81
+
+    def learn(*visited):
+        demonstrated = np.zeros((5, 2))
+        demonstrated[list(visited)] = mass / (2 * len(visited))
         maxent_irl(mdp, demonstrated, eye_array(5), iterations=1)
-    demonstrated[4, 0] = 1
+
+    learn(0, 1, 2)
+    if horizon is None:
+        learn(0, 3)
+    else:
+        with pytest.raises(ValueError, match=r"visit 1 states .* the first of them 3"):
+            learn(0, 3)
     with pytest.raises(ValueError, match="no policy reaches"):
-        log_likelihood(mdp, np.zeros(5), demonstrated)
+        learn(0, 4)
 
 
 # The maze
