@@ -50,7 +50,7 @@ def binary_cross_entropy(
 
 
 def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E"]:
-    """Return the sum of the logits of each `horizon` steps (Finn et al. 2016, section 3.1)."""
+    """Return the sum of the logits of each `horizon` steps (Finn et al. 2016)."""
     return logit.unflatten(1, (-1, horizon)).sum(-1)
 
 

@@ -571,7 +571,8 @@ class Trainer:
             self.owed, self.obs = state["owed"].tolist(), state["obs"].numpy()
             if "mean" in state:
                 self._build(Normaliser(*(state[x].to(self.device) for x in ("mean", "std"))))
-                self.generator.updates = self.trained
+                if not isinstance(self.generator, PPO):
+                    self.generator.updates = self.trained
                 for name, tensor in self._weights().items():
                     tensor.copy_(state[name])
             for name in ("episodes", "held"):

@@ -227,6 +227,40 @@ def test_where_nothing_else_is_to_gain_the_entropy_rises():
     assert (entropy() > before + 0.1).all()
 
 
+def test_the_first_policy_prefers_no_direction():
+    learner = make()
+    obs = learner.normaliser(data(learner)[0].obs)
+    mean, log_std = learner.actor.distribution(learner.actor_params, obs)
+    assert mean.abs().max() < 0.05
+    low, high = CONFIG.log_std_range
+    torch.testing.assert_close(log_std, torch.full_like(mean, (low + high) / 2), rtol=0, atol=0.2)
+
+
+def test_a_reward_that_comes_later_is_credited_to_what_led_to_it():
+    """Two steps: the first action decides what the second is paid.
+
+    Over seeds 0-9, after 40 blocks, the first action was 0.97 at least.
+    """
+    seeds, episodes = (0, 1, 2), 50
+    learner, streams = make(seeds, log_std_range=(-2.0, 1.0), learning_rate=3e-3), Streams(seeds)
+    clock = torch.tensor([0.0, 1.0]).repeat(episodes)
+    for _ in range(40):
+        obs = torch.zeros(3, 2 * episodes, OBS)
+        obs[..., 0] = clock
+        next_obs = obs.clone()
+        next_obs[..., 0] += 1
+        noise = streams.normal(2 * episodes, ACT)
+        u = learner.actor.sample(learner.actor_params, learner.normaliser(obs), noise)[0].detach()
+        reward = torch.zeros(3, 2 * episodes)
+        reward[:, 1::2] = torch.tanh(u[:, ::2, 0])
+        ended = clock.expand_as(reward)
+        rollout = learner.rollout(Batch(obs, u, next_obs, reward, ended), reward)
+        for _ in range(5):
+            learner.update(rollout, streams.normal(2 * episodes, ACT))
+    mode = learner.policy.act(obs[:, :1])
+    assert (mode[..., 0] > 0.9).all()
+
+
 def train(seeds, change=lambda block, reward: None):
     learner = make(seeds)
     block, reward, noise = data(learner, seeds)
