@@ -5,10 +5,17 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from pybtex.database import parse_file
 from sphinx_external_toc.parsing import parse_toc_yaml
 
 ROOT = Path(__file__).parents[2]
 CHAPTERS = sorted((ROOT / "book").glob("*.ipynb"))
+
+
+def test_the_bibliography_can_be_read():
+    """Every entry by itself, and none twice: pybtex refuses both."""
+    path = ROOT / "book" / "references.bib"
+    assert len(parse_file(path).entries) == path.read_text("utf-8").count("\n@") + 1
 
 
 def test_every_chapter_is_in_the_table_of_contents():
