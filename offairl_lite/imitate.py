@@ -28,7 +28,7 @@ from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy, unsquash
 from offairl_lite.ppo import PPO
 from offairl_lite.replay import Batch, Replay, choose
-from offairl_lite.sac import SAC
+from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 from offairl_lite.td3 import TD3
 
@@ -161,6 +161,18 @@ class Trainer:
         self.owed: list[int] = []
         self.block_start, self.evaluated = 0, 0
         self.held = torch.zeros(len(seeds), self.action_dim, device=self.device)
+        actor = stochastic_actor(config, self.obs_dim, self.action_dim)
+        if policy is not None and policy.actor != actor:
+            raise ValueError(
+                f"the policy to carry over is a {policy.actor}, and the actor of this run a "
+                f"{actor}: make the configurations the same"
+            )
+        dims = self.obs_dim, self.action_dim
+        if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != dims:
+            raise ValueError(
+                f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
+                f"{guide.actor.action_dim}; this run has {dims[0]} and {dims[1]}"
+            )
         self.carried = None if policy is None else policy.to(self.device)
         self.guide = None if guide is None else guide.to(self.device)
         # For how many more steps the guide acts.
@@ -333,22 +345,12 @@ class Trainer:
             self.discriminator.step = self.execution.accelerate(self.discriminator.step)
 
     def _carry_over(self) -> None:
-        """Put the carried policy's weights into the actor.
-
-        Raises:
-            ValueError: it is of another architecture.
-        """
-        carried, generator = self.carried, self.generator
-        if carried.actor != generator.actor:
-            raise ValueError(
-                f"the policy to carry over is a {carried.actor}, and the actor of this run a "
-                f"{generator.actor}: make the configurations the same"
-            )
-        params = carried.params
+        """Put the carried policy's weights into the actor."""
+        params, own = self.carried.params, self.generator.actor_params.detach()
         if self.config.carry == "primitives":
-            gate = generator.actor.gate.num_params
-            params = torch.cat([params[:, :-gate], generator.actor_params.detach()[:, -gate:]], 1)
-        generator.actor_params.detach().copy_(params)
+            gate = self.generator.actor.gate.num_params
+            params = torch.cat([params[:, :-gate], own[:, -gate:]], 1)
+        own.copy_(params)
 
     def _normaliser(self) -> Normaliser:
         """Return the scaling by what each member has seen and, half and half, what it was shown.

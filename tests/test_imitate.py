@@ -574,10 +574,9 @@ def run_with(config, **given):
 
 def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
     config = replace(tiny, reward="environment", start_steps=40, total_steps=400)
-    guide, trainer = earlier_policy(config, 2), None
+    guide = earlier_policy(config, 2)
     trainer = Trainer(config, range(2), guide=guide)
-    guided_steps, actions, lengths = torch.zeros(2, dtype=torch.long), [], []
-    step = trainer.env.step
+    step, actions, lengths = trainer.env.step, [], []
 
     def watch(action):
         seen = torch.from_numpy(trainer.obs).float().unsqueeze(1)
@@ -589,7 +588,6 @@ def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
     while not trainer.finished:
         if trainer.steps % 100 == 0 and len(actions) == trainer.steps:
             lengths.append(trainer.guided.clone())
-        guided_steps = sum(torch.from_numpy(guided).long() for guided, *_ in actions)
         trainer.advance()
     for guided, action, theirs in actions:
         np.testing.assert_allclose(action[guided], theirs[guided], atol=1e-6)
@@ -627,9 +625,12 @@ def test_what_comes_from_other_runs_is_needed_and_not_more(tiny, change, given, 
         Trainer(config, (0,), **{name: earlier_policy(config, 1) for name in given})
 
 
-def test_policies_must_be_as_many_and_of_the_architecture(tiny):
+def test_policies_must_be_as_many_and_of_the_architecture(tiny, maze):
     config = replace(tiny, reward="environment", carry="policy")
     with pytest.raises(ValueError, match="3 policies for 2 seeds"):
-        built(config, policy=earlier_policy(config, 3))
+        Trainer(config, range(2), policy=earlier_policy(config, 3))
     with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
-        built(replace(config, **MCP), policy=earlier_policy(config, 2))
+        Trainer(replace(config, **MCP), range(2), policy=earlier_policy(config, 2))
+    seeing = replace(config, carry="nothing", start_steps=5, reward="dac", absorbing="bootstrap")
+    with pytest.raises(ValueError, match="sees 3 numbers and gives 2; this run has 4 and 2"):
+        Trainer(seeing, range(2), maze, guide=earlier_policy(config, 2))
