@@ -1,4 +1,4 @@
-"""The command line: `offairl list`, `run`, `resume`, `sweep`, `demos`, `watch`, `bench`."""
+"""The command line, `offairl`: one function for each of its commands."""
 
 import os
 import sys
@@ -13,7 +13,7 @@ import gymnasium
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, jobs, records, runs, scale, sweep, video
+from offairl_lite import demonstrations, jobs, logs, records, runs, scale, sweep, video
 from offairl_lite.bench import Options, measure, table
 from offairl_lite.config import Config
 from offairl_lite.execution import Execution, compiles, is_large
@@ -84,6 +84,19 @@ def watch(
     pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
     out.write_bytes(video.mp4(pictures))
     print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+
+
+def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool = False) -> None:
+    """Write the curves of a run for TensorBoard; any run, also one that is recorded.
+
+    Args:
+        run: its folder.
+        out: the folder for the event files, a new one; by default RUN/tensorboard.
+        follow: go on writing until the run has ended.
+    """
+    folder = out or run / "tensorboard"
+    count = logs.export(run, folder, follow)
+    print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
 def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
@@ -247,12 +260,13 @@ def main(args: Sequence[str] | None = None) -> None:
             "sweep": several,
             "demos": demos,
             "watch": watch,
+            "tensorboard": tensorboard,
             "bench": bench,
         }
         tyro.extras.subcommand_cli_from_dict(
             commands, prog="offairl", description=main.__doc__, args=args
         )
-    except (ValueError, OSError, FloatingPointError, gymnasium.error.Error) as error:
+    except (ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error) as error:
         sys.exit(f"offairl: {error}")
 
 

@@ -49,6 +49,11 @@ def binary_cross_entropy(
     return (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
 
 
+def entropy(logit: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Return the entropy, in nats, of D = σ(logit): log 2 where it cannot tell, 0 where it can."""
+    return softplus(logit) - logit * torch.sigmoid(logit)
+
+
 def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E"]:
     """Return the sum of the logits of each `horizon` steps (Finn et al. 2016)."""
     return logit.unflatten(1, (-1, horizon)).sum(-1)
@@ -261,6 +266,7 @@ class Discriminator:
             "expert_logit": expert_logit.detach().mean(-1),
             "policy_logit": policy_logit.detach().mean(-1),
             "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
+            "entropy": (entropy(expert_logit) + entropy(policy_logit)).detach().mean(-1) / 2,
         }
         return (cross_entropy + self.config.gradient_penalty * penalty).sum(), metrics
 

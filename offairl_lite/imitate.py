@@ -652,6 +652,7 @@ def train(
     guide: Policy | None = None,
     execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
+    on_evaluation: Callable[[list[Row]], None] | None = None,
 ) -> Run:
     """Train a population from beginning to end, in memory.
 
@@ -664,10 +665,18 @@ def train(
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         execution: where and how it is computed.
         progress: whether to show a bar.
+        on_evaluation: called after each evaluation with a row for each member, for logging
+            (`logs.TensorBoard` is one such) or to stop early by an exception of your own.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
         FloatingPointError: every member has diverged.
     """
+
+    def advanced(rows: list[Row]) -> None:
+        if rows and on_evaluation is not None:
+            on_evaluation(rows)
+
     given = {"policy": policy, "guide": guide, "execution": execution}
-    return complete(Trainer(config, seeds, demonstrations, reward, **given), progress)
+    trainer = Trainer(config, seeds, demonstrations, reward, **given)
+    return complete(trainer, progress, advanced)

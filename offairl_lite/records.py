@@ -35,7 +35,11 @@ METRICS = (
     "critic_loss",
     "q",
     "temperature",
+    "entropy",
 )
+"""Diagnostics of the last update before an evaluation. New ones are added at the end, so that
+curves of before can be read."""
+
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
 
@@ -108,7 +112,9 @@ def read(folder: Path) -> Run:
         raise FileNotFoundError(f"{folder} is no record of a run: it has no curve.csv")
     with open(path, newline="") as file:
         reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
+        known = len(COLUMNS) - len(METRICS)
+        names = tuple(reader.fieldnames or ())
+        if len(names) < known or names != COLUMNS[: len(names)]:
             raise ValueError(f"{path} has columns {reader.fieldnames}; expected {list(COLUMNS)}")
         rows = [
             Row(

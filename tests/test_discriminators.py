@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,7 @@ from offairl_lite.discriminators import (
     Discriminator,
     Reward,
     binary_cross_entropy,
+    entropy,
     gradient_penalty,
     per_episode,
     shaped_reward,
@@ -85,6 +87,13 @@ def test_the_loss_has_the_gradient_of_finite_differences(name, pre_tanh):
 
 def test_shaping_is_that_of_the_equation():
     assert shaped_reward(torch.tensor(1.0), torch.tensor(3.0), torch.tensor(5.0), 0.9) == 2.5
+
+
+def test_entropy_is_that_of_the_verdict():
+    logit = torch.tensor([-30.0, -2.0, 0.0, 0.7, 30.0], dtype=torch.float64)
+    expected = torch.distributions.Bernoulli(logits=logit).entropy()
+    torch.testing.assert_close(entropy(logit), expected)
+    assert entropy(logit)[2] == pytest.approx(math.log(2))
 
 
 def test_cross_entropy_labels_the_expert_one():
