@@ -124,7 +124,7 @@ def read(folder: Path) -> Run:
                 float(line["mean_return"]),
                 tuple(map(float, line["returns"].split())),
                 float(line["learned_return"]),
-                {name: float(line[name]) for name in METRICS if line[name]},
+                {name: float(line[name]) for name in METRICS if line.get(name)},
             )
             for line in reader
         ]
