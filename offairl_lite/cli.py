@@ -99,6 +99,31 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
+def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
+    """Do the beginning of a recorded run again, and compare.
+
+    On the machine that made the record, with the same versions, the numbers are the same to the
+    last digit. Elsewhere training, which magnifies the smallest differences, comes out otherwise.
+
+    Args:
+        record: its folder.
+        evaluations: how many to do again, from the first one on.
+    """
+    pairs = runs.verify(record, evaluations, sys.stderr.isatty())
+    print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
+    for old, new in pairs:
+        print(f"{old.seed:5} {old.step:9,} {old.mean_return:12.4f} {new.mean_return:12.4f}")
+    if all(old.returns == new.returns for old, new in pairs):
+        return print("the same, every return of every episode")
+    then, now = records.read_json(record / "run.json"), runs.origin(Execution())
+    changed = [
+        f"{key}: {then.get(key)}, here {now[key]}"
+        for key in ("versions", "processor", "commit")
+        if then.get(key) != now[key]
+    ]
+    raise ValueError("; ".join([f"{record} comes out otherwise here", *changed]))
+
+
 def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
     """Measure how fast this machine trains, beside what is aimed at: five to ten minutes.
 
@@ -261,6 +286,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "demos": demos,
             "watch": watch,
             "tensorboard": tensorboard,
+            "verify": verify,
             "bench": bench,
         }
         tyro.extras.subcommand_cli_from_dict(

@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm.auto import tqdm
 
 from offairl_lite import demonstrations as data
 from offairl_lite import envs
@@ -46,6 +47,7 @@ from offairl_lite.records import (
     Plan,
     lines,
     merged,
+    read,
     read_json,
     require_format,
     write_json,
@@ -149,7 +151,7 @@ def create(
         plan.write(hidden)
         (hidden / "members").mkdir()
         (hidden / "curve.csv").write_text(HEADER)
-        write_json(hidden / "run.json", {"state": "waiting", **_origin(execution), "shards": {}})
+        write_json(hidden / "run.json", {"state": "waiting", **origin(execution), "shards": {}})
         for name, thing in inherited.items():
             if thing is not None:
                 thing.save(hidden / f"{INHERITED[name]}.safetensors")
@@ -198,22 +200,70 @@ def work(
     execution = Execution(**plan.execution)
     torch.set_num_threads(execution.threads)
     if left and plan.demonstrations is not None:
-        shown = plan.demonstrations
-        if demonstrations is None:
-            demonstrations = data.load(
-                plan.config.env_id,
-                shown["trajectories"],
-                shown["dataset"],
-                shown.get("subsample", 1),  # Older runs do not say.
-            )
-        if _digest(demonstrations.transitions._asdict()) != shown["digest"]:
-            raise ValueError(
-                f"{len(demonstrations)} trajectories of {shown['dataset'] or 'the shipped experts'}"
-                f" are not those that {folder} began with: bring them back, or start a new run"
-            )
+        demonstrations = _demonstrations(folder, plan, demonstrations)
     for shard in left:
         _Worker(folder, plan, shard).work(demonstrations, execution, progress)
     _publish(folder)
+
+
+def _demonstrations(
+    folder: Path, plan: Plan, given: Demonstrations | None = None
+) -> Demonstrations:
+    """Return what a run began with, loaded if it is not given.
+
+    Raises:
+        ValueError: they have changed since.
+    """
+    shown = plan.demonstrations
+    if given is None:
+        given = data.load(
+            plan.config.env_id,
+            shown["trajectories"],
+            shown["dataset"],
+            shown.get("subsample", 1),  # Older runs do not say.
+        )
+    if _digest(given.transitions._asdict()) != shown["digest"]:
+        raise ValueError(
+            f"{len(given)} trajectories of {shown['dataset'] or 'the shipped experts'} are not "
+            f"those that {folder} began with: bring them back, or start a new run"
+        )
+    return given
+
+
+def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tuple[Row, Row]]:
+    """Do the beginning of a recorded run again, in memory, and set it beside the record.
+
+    Args:
+        folder: of the record. Its checkpoints are not needed.
+        evaluations: how many, from the first one on, of the members that were trained together
+            with the first.
+        progress: whether to show a bar.
+
+    Returns:
+        Pairs of a recorded row and the same one, as it comes out here and now.
+
+    Raises:
+        FileNotFoundError: there is no such record, or what it had of another run is not kept.
+        ValueError: the demonstrations are no longer those it began with, or the record has not so
+            many evaluations.
+    """
+    plan = Plan.read(folder)
+    shard, execution = plan.shards[0], Execution(**plan.execution)
+    rows = [row for row in read(folder).rows if row.seed in shard]
+    steps = sorted({row.step for row in rows})
+    if not 1 <= evaluations <= len(steps):
+        raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
+    last = steps[evaluations - 1]
+    torch.set_num_threads(execution.threads)
+    shown = None if plan.demonstrations is None else _demonstrations(folder, plan)
+    inherited = _inherited(folder, plan, shard)
+    trainer, again = Trainer(plan.config, shard, shown, **inherited, execution=execution), []
+    with tqdm(total=last, unit="step", disable=not progress) as bar:
+        while trainer.evaluated < last:
+            again += trainer.advance()
+            bar.update(trainer.trained - bar.n)
+    there = {(row.seed, row.step): row for row in rows}
+    return [(there[row.seed, row.step], row) for row in again]
 
 
 def unfinished(
@@ -674,7 +724,7 @@ def _words(size: int) -> str:
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
-def _origin(execution: Execution) -> dict[str, Any]:
+def origin(execution: Execution) -> dict[str, Any]:
     """Return what produces a run, and when it was begun."""
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),

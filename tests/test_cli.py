@@ -301,3 +301,19 @@ def test_large_networks_are_compiled_and_spread(
     monkeypatch.setattr(cli.os, "cpu_count", lambda: 4)
     monkeypatch.setattr(runs, "create", create)
     assert failure(line, capsys) == f"offairl: {processes} {compiled} cpu 1"
+
+
+def test_a_record_is_verified(capsys, elsewhere):
+    offairl(f"run maze-expert {SMALL} --out one")
+    offairl("verify one --evaluations 2")
+    assert "the same, every return of every episode" in capsys.readouterr().out
+    curve, origin = elsewhere / "one" / "curve.csv", elsewhere / "one" / "run.json"
+    rows = curve.read_text().splitlines()
+    fields = rows[1].split(",")
+    fields[4] = fields[4].replace("-", "-1", 1)
+    curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
+    origin.write_text(json.dumps({**json.loads(origin.read_text()), "processor": "an abacus"}))
+    message = failure("verify one", capsys)
+    assert "one comes out otherwise here" in message
+    assert "processor: an abacus, here" in message
+    assert "versions" not in message

@@ -693,3 +693,34 @@ def test_a_shard_that_diverges_leaves_the_others_alone(folder, plain, monkeypatc
     assert manifest(folder)["state"] == "finished"
     assert [(r.seed, r.step) for r in records.read(folder).rows[2:]] == [(5, 50), (5, 100)]
     assert len(records.read(folder).policy) == 3
+
+
+def test_a_record_is_verified_without_its_checkpoints(plain, folder):
+    run(folder, replace(plain, total_steps=150))
+    shutil.rmtree(folder / "members")
+    recorded = records.read(folder).rows
+    for evaluations in (1, 3):
+        olds, news = zip(*runs.verify(folder, evaluations, progress=False), strict=True)
+        # As lines, since a learned return that is NaN is not equal to itself.
+        assert records.lines(olds) == records.lines(recorded[: 2 * evaluations])
+        assert records.lines(news) == records.lines(olds)
+    with pytest.raises(ValueError, match=r"evaluations is 4; .* has 3 to do again"):
+        runs.verify(folder, 4)
+
+
+def test_only_the_first_shard_is_verified(plain, folder):
+    run(folder, plain, shards=2)
+    assert [new.seed for _, new in runs.verify(folder, progress=False)] == [3]
+
+
+def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrations):
+    with pytest.raises(FileNotFoundError, match="there is no run in"):
+        runs.verify(folder)
+    policy = Trainer(plain, SEEDS)
+    while policy.generator is None:
+        policy.advance()
+    run(folder, replace(plain, carry="policy"), policy=policy.generator.policy)
+    assert len(runs.verify(folder, progress=False)) == 2
+    (folder / "carried.safetensors").unlink()
+    with pytest.raises(FileNotFoundError, match=r"carried\.safetensors"):
+        runs.verify(folder)
