@@ -158,7 +158,7 @@ def test_probability_of_improvement_is_the_share_of_pairs_won():
     share, low, high = probability_of_improvement(one, other)
     assert share == pytest.approx(3.5 / 6)
     assert 0 <= low <= share <= high <= 1
-    back, *interval = probability_of_improvement(other, one)
+    back, *_ = probability_of_improvement(other, one)
     assert back == pytest.approx(1 - share)
     assert probability_of_improvement(one + 9, other) == (1, 1, 1)
 
