@@ -221,6 +221,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             "state": {"reward": "implementation-2"},
             "state-action": {"reward": "implementation-1"},
             "gan-gcl": {"reward": "gan-gcl"},
+            # Negatives of the last 20 blocks, as the authors' own code has an option for.
+            "state-memory": {"reward": "implementation-2", "replay_size": 40_000},
         },
     ),
     "hopper-gail": Experiment(
