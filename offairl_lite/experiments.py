@@ -221,8 +221,6 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             "state": {"reward": "implementation-2"},
             "state-action": {"reward": "implementation-1"},
             "gan-gcl": {"reward": "gan-gcl"},
-            # Negatives of the last 20 blocks, as the authors' own code has an option for.
-            "state-memory": {"reward": "implementation-2", "replay_size": 40_000},
         },
     ),
     "hopper-gail": Experiment(
@@ -243,6 +241,16 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         SEEDS,
         reward_from="maze-imitation",
         variants=_retraining_variants(),
+    ),
+    "maze-airl-memory": Experiment(
+        "AIRL with PPO and r(s), whose negatives are of the last 20 blocks instead of the last",
+        _both(
+            _ON_POLICY_DEMO,
+            {},
+            **(_ON_POLICY | {"replay_size": 20 * _ON_POLICY["update_every"]}),
+            reward="implementation-2",
+        ),
+        SEEDS,
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",
