@@ -243,14 +243,10 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_retraining_variants(),
     ),
     "maze-airl-memory": Experiment(
-        "AIRL with PPO and r(s), whose negatives are of the last 20 blocks instead of the last",
-        _both(
-            _ON_POLICY_DEMO,
-            {},
-            **(_ON_POLICY | {"replay_size": 20 * _ON_POLICY["update_every"]}),
-            reward="implementation-2",
-        ),
+        "AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs",
+        _both(_ON_POLICY_DEMO, {}, **_ON_POLICY, reward="implementation-2"),
         SEEDS,
+        variants={"recent": {"replay_size": 40_000}, "all": {"replay_size": 1_000_000}},
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",
