@@ -242,6 +242,12 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         reward_from="maze-imitation",
         variants=_retraining_variants(),
     ),
+    "maze-airl-memory": Experiment(
+        "AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs",
+        _both(_ON_POLICY_DEMO, {}, **_ON_POLICY, reward="implementation-2"),
+        SEEDS,
+        variants={"recent": {"replay_size": 40_000}, "all": {"replay_size": 1_000_000}},
+    ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",
         {

@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.special import entr, logsumexp
 
 from offairl_lite import envs, tabular
+from offairl_lite.discriminators import shaped_reward
 from offairl_lite.envs.models import GOAL, START, walls
 from offairl_lite.tabular import (
     MDP,
@@ -616,3 +617,20 @@ def test_mazes_that_cannot_be_are_refused():
         maze(10, "Left", slip=1.5)
     with pytest.raises(ValueError, match="side must be 'Left' or 'Right', not 'Up'"):
         maze(10, "Up")
+
+
+# The best discriminator
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_discriminator_contains_the_reward_of_the_state_whoever_the_policy_is(seed):
+    """log π + log ρ_E/ρ_π = r + γ V(s') - V(s), with r that of the expert but for log d_E/d_π."""
+    mdp = replace(deterministic_mdp(horizon=1), discount=0.9, horizon=None)
+    reward = np.random.default_rng(seed).normal(size=mdp.num_states)
+    expert, policy = soft_value_iteration(mdp, reward), random_policy(mdp, seed)
+    seen, visits = occupancy(mdp, expert.policy), occupancy(mdp, policy)
+    ratio = np.log(seen.sum(1) / visits.sum(1))
+    f = shaped_reward(
+        (reward + ratio)[:, None], expert.value[:, None], mdp.expect(expert.value), mdp.discount
+    )
+    np.testing.assert_allclose(np.log(policy) + np.log(seen / visits), f, atol=1e-10)
