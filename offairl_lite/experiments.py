@@ -248,6 +248,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         {
             "demo": replace(
                 _hopper(reward="dac")["demo"],
+                total_steps=12_000,
                 warmup_steps=2_000,
                 update_every=250,
                 batch_size=64,
