@@ -156,6 +156,14 @@ def _retraining_variants() -> dict[str, dict[str, Any]]:
     return variants
 
 
+# What the end of an episode is worth to an imitator: each reward, with each way to go on after it.
+_ABSORBING = {
+    f"{reward}-{absorbing}": {"reward": reward, "absorbing": absorbing}
+    for reward in ("dac", "implementation-4")
+    for absorbing in ("none", "bootstrap", "analytic")
+}
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
@@ -234,6 +242,23 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _hopper(reward="dac", absorbing="bootstrap"),
         SEEDS,
         variants=_DAC,
+    ),
+    "hopper-absorbing": Experiment(
+        "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
+        {
+            "demo": replace(
+                _hopper(reward="dac")["demo"],
+                total_steps=12_000,
+                warmup_steps=2_000,
+                update_every=250,
+                batch_size=64,
+                temperature=None,
+                target_rate=0.01,
+            ),
+            "full": _hopper(reward="dac")["full"],
+        },
+        SEEDS,
+        variants=_ABSORBING,
     ),
     "maze-retraining": Experiment(
         "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",

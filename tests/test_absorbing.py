@@ -67,3 +67,11 @@ def test_the_loop_s_fixed_point_makes_bootstrap_and_analytic_agree():
     torch.testing.assert_close(reward + discount * q, expected)
     # The loop's own analytic return is that fixed point.
     torch.testing.assert_close(absorbing.analytic_return(there, there, discount), q)
+
+
+def test_a_constant_adds_as_much_to_a_last_step_as_to_a_life_without_end():
+    """What the absorbing state is for: with it, a constant prefers no policy to another."""
+    reward, there, discount, c = torch.tensor([2.0, -1.0]), torch.tensor(0.5), 0.9, 3.0
+    before = absorbing.analytic_return(reward, there, discount)
+    after = absorbing.analytic_return(reward + c, there + c, discount)
+    torch.testing.assert_close(after - before, torch.full((2,), c / (1 - discount)))

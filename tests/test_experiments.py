@@ -91,3 +91,19 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
 def test_an_unknown_experiment_lists_those_there_are():
     with pytest.raises(ValueError, match="no experiment 'maze'; there are: experts, maze-expert"):
         find("maze")
+
+
+def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_nothing_else():
+    experiment = find("hopper-absorbing")
+    for scale, config in experiment.configs.items():
+        runs = [replace(config, **changes) for changes in experiment.variants.values()]
+        assert {(run.reward, run.absorbing) for run in runs} == {
+            (reward, absorbing)
+            for reward in ("dac", "implementation-4")
+            for absorbing in ("none", "bootstrap", "analytic")
+        }
+        assert all(set(differences(config, run)) <= {"reward", "absorbing"} for run in runs)
+        if scale == "full":
+            dac = find("hopper-dac")
+            dac = replace(dac.configs[scale], **dac.variants["sac"])
+            assert dac in runs
