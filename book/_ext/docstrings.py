@@ -1,0 +1,96 @@
+"""The package's docstrings, which are written like Markdown, for Sphinx, which reads another markup."""
+
+import re
+from dataclasses import fields, is_dataclass
+
+from sphinx.ext.autodoc import ClassDocumenter, DataDocumenter, Options
+
+NAME = re.compile(r"[A-Za-z_][\w.]*(\(\))?")
+MARKUP = re.compile(
+    r"^(?P<indent> *)\$\$(?P<display>[^$]+)\$\$"
+    r"|\$(?P<inline>[^$]+)\$"
+    r"|`(?P<code>[^`]+)`"
+    r"|(?<!\S)(?P<emphasis>\*\w[^*]*\w\*)"
+    r"|(?P<special>[|*\\]|_(?!\w)|(?<=\b[A-Za-z])\.(?!\w))",
+    re.MULTILINE,
+)
+# What Python says of a named tuple's fields.
+FIELD = re.compile(r"Alias for field number \d+")
+# A class's attributes are its arguments.
+ATTRIBUTES = re.compile(r"^( *)Attributes:$", re.MULTILINE)
+LONGEST_VALUE = 60
+MOST_FIELDS = 10
+
+
+def _converted(match):
+    indent, display, inline, code, emphasis, special = match.groups()
+    if display:
+        formula = "\n".join(
+            f"{indent}    {line.strip()}" for line in display.splitlines()
+        )
+        return f"{indent}.. math::\n\n{formula}\n"
+    if inline:
+        return f":math:`{inline}`"
+    if emphasis:
+        return emphasis
+    if special:
+        return f"\\{special}"
+    if not NAME.fullmatch(code):
+        return f"``{code}``"
+    # A name with a dot may begin anywhere: `Config.reward` is that of `offairl_lite.config`.
+    return f":py:obj:`{'.' * ('.' in code)}{code}`"
+
+
+def converted(docstring):
+    """Mathematics between dollars, code between backticks, emphasis; all else is meant literally."""
+    docstring = ATTRIBUTES.sub(r"\1Args:", docstring.strip())
+    return MARKUP.sub(_converted, docstring)
+
+
+def convert(app, what, name, obj, options, lines):
+    """Convert a docstring in place."""
+    # The first line is empty, or what stands before a colon there would be taken for a type.
+    lines[:] = ["", *converted("\n".join(lines)).split("\n"), ""]
+
+
+def shorten(app, what, name, obj, options, signature, returns):
+    """Leave out the arguments of a large dataclass, which are described one by one."""
+    if is_dataclass(obj) and len(fields(obj)) > MOST_FIELDS:
+        return "(…)", None
+    return None
+
+
+class Class(ClassDocumenter):
+    """A class, of whose fields those are listed that have something said of them."""
+
+    def filter_members(self, members, want_all):
+        """Return the members to list."""
+        kept = super().filter_members(members, want_all)
+        return [
+            m
+            for m in kept
+            if m[2] or not FIELD.fullmatch(str(m[1].__doc__))
+        ]
+
+
+class Constant(DataDocumenter):
+    """A constant, whose value is shown if it is short."""
+
+    def add_directive_header(self, sig):
+        """Begin its description."""
+        if len(repr(self.object)) > LONGEST_VALUE:
+            self.options = Options({**self.options, "no-value": True})
+        super().add_directive_header(sig)
+
+
+def setup(app):
+    """Register with Sphinx."""
+    app.setup_extension("sphinx.ext.autodoc")
+    app.setup_extension("sphinx.ext.napoleon")
+    app.setup_extension("sphinx.ext.viewcode")
+    # Before napoleon, which makes sections of what it is given.
+    app.connect("autodoc-process-docstring", convert, priority=400)
+    app.connect("autodoc-process-signature", shorten)
+    app.add_autodocumenter(Class, override=True)
+    app.add_autodocumenter(Constant, override=True)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
