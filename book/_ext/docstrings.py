@@ -1,4 +1,8 @@
-"""The package's docstrings, which are written like Markdown, for Sphinx, which reads another markup."""
+"""Docstrings, which are written like Markdown, for Sphinx.
+
+Sphinx reads reStructuredText, where code, mathematics and links look
+otherwise, and a `|` or a `*` has a meaning.
+"""
 
 import re
 from dataclasses import fields, is_dataclass
@@ -11,6 +15,7 @@ MARKUP = re.compile(
     r"|\$(?P<inline>[^$]+)\$"
     r"|`(?P<code>[^`]+)`"
     r"|(?<!\S)(?P<emphasis>\*\w[^*]*\w\*)"
+    # What would be markup: also `O.`, the first item of a list.
     r"|(?P<special>[|*\\]|_(?!\w)|(?<=\b[A-Za-z])\.(?!\w))",
     re.MULTILINE,
 )
@@ -25,10 +30,10 @@ MOST_FIELDS = 10
 def _converted(match):
     indent, display, inline, code, emphasis, special = match.groups()
     if display:
-        formula = "\n".join(
-            f"{indent}    {line.strip()}" for line in display.splitlines()
-        )
-        return f"{indent}.. math::\n\n{formula}\n"
+        lines = [
+            f"{indent}    {line.strip()}" for line in display.split("\n")
+        ]
+        return "\n".join([f"{indent}.. math::", "", *lines, ""])
     if inline:
         return f":math:`{inline}`"
     if emphasis:
@@ -37,39 +42,45 @@ def _converted(match):
         return f"\\{special}"
     if not NAME.fullmatch(code):
         return f"``{code}``"
-    # A name with a dot may begin anywhere: `Config.reward` is that of `offairl_lite.config`.
+    # A name with a dot may begin anywhere: `Config.reward`.
     return f":py:obj:`{'.' * ('.' in code)}{code}`"
 
 
 def converted(docstring):
-    """Mathematics between dollars, code between backticks, emphasis; all else is meant literally."""
+    """Return a docstring as reStructuredText.
+
+    Formulas between dollars, code between backticks and emphasis between
+    stars are marked up, names in the code are links; all else is literal.
+    """
     docstring = ATTRIBUTES.sub(r"\1Args:", docstring.strip())
     return MARKUP.sub(_converted, docstring)
 
 
 def convert(app, what, name, obj, options, lines):
     """Convert a docstring in place."""
-    # The first line is empty, or what stands before a colon there would be taken for a type.
+    # The first line is empty: what stood before a colon there would be
+    # taken for a type.
     lines[:] = ["", *converted("\n".join(lines)).split("\n"), ""]
 
 
 def shorten(app, what, name, obj, options, signature, returns):
-    """Leave out the arguments of a large dataclass, which are described one by one."""
+    """Leave out a large dataclass's arguments: its fields are listed."""
     if is_dataclass(obj) and len(fields(obj)) > MOST_FIELDS:
         return "(…)", None
     return None
 
 
 class Class(ClassDocumenter):
-    """A class, of whose fields those are listed that have something said of them."""
+    """A class; of its fields those are listed that have a description."""
 
     def filter_members(self, members, want_all):
         """Return the members to list."""
-        kept = super().filter_members(members, want_all)
         return [
-            m
-            for m in kept
-            if m[2] or not FIELD.fullmatch(str(m[1].__doc__))
+            (name, member, is_attribute)
+            for name, member, is_attribute in super().filter_members(
+                members, want_all
+            )
+            if is_attribute or not FIELD.fullmatch(str(member.__doc__))
         ]
 
 
@@ -85,9 +96,8 @@ class Constant(DataDocumenter):
 
 def setup(app):
     """Register with Sphinx."""
-    app.setup_extension("sphinx.ext.autodoc")
-    app.setup_extension("sphinx.ext.napoleon")
-    app.setup_extension("sphinx.ext.viewcode")
+    for extension in ("autodoc", "napoleon", "viewcode"):
+        app.setup_extension(f"sphinx.ext.{extension}")
     # Before napoleon, which makes sections of what it is given.
     app.connect("autodoc-process-docstring", convert, priority=400)
     app.connect("autodoc-process-signature", shorten)
