@@ -7,6 +7,7 @@ otherwise, and a `|` or a `*` has a meaning.
 import re
 from dataclasses import fields, is_dataclass
 
+from docutils import nodes
 from sphinx.ext.autodoc import ClassDocumenter, DataDocumenter, Options
 
 NAME = re.compile(r"[A-Za-z_][\w.]*(\(\))?")
@@ -23,6 +24,11 @@ MARKUP = re.compile(
 FIELD = re.compile(r"Alias for field number \d+")
 # A class's attributes are its arguments.
 ATTRIBUTES = re.compile(r"^( *)Attributes:$", re.MULTILINE)
+# Napoleon takes what stands before a colon in the first line of an
+# attribute, or of what is returned, for a type. So the first line is empty,
+# but for what is not shown.
+NOTHING = "\\"
+RETURNS = re.compile(r"^( *)Returns:\n( *)", re.MULTILINE)
 LONGEST_VALUE = 60
 MOST_FIELDS = 10
 
@@ -53,21 +59,30 @@ def converted(docstring):
     stars are marked up, names in the code are links; all else is literal.
     """
     docstring = ATTRIBUTES.sub(r"\1Args:", docstring.strip())
-    return MARKUP.sub(_converted, docstring)
+    docstring = MARKUP.sub(_converted, docstring)
+    return RETURNS.sub(rf"\g<0>{re.escape(NOTHING)}\n\2", docstring)
 
 
 def convert(app, what, name, obj, options, lines):
     """Convert a docstring in place."""
-    # The first line is empty: what stood before a colon there would be
-    # taken for a type.
-    lines[:] = ["", *converted("\n".join(lines)).split("\n"), ""]
+    lines[:] = [*converted("\n".join(lines)).split("\n"), ""]
+    if what in ("attribute", "data", "property"):
+        lines.insert(0, NOTHING)
 
 
 def shorten(app, what, name, obj, options, signature, returns):
     """Leave out a large dataclass's arguments: its fields are listed."""
     if is_dataclass(obj) and len(fields(obj)) > MOST_FIELDS:
         return "(…)", None
-    return None
+    # What is no Python would be shown as it is.
+    return signature and signature.replace("<factory>", "..."), returns
+
+
+def unbracket(app, doctree):
+    """Call the links to the code `source`, without brackets."""
+    for link in doctree.findall(nodes.inline):
+        if "viewcode-link" in link["classes"]:
+            link[:] = [nodes.Text("source")]
 
 
 class Class(ClassDocumenter):
@@ -101,6 +116,8 @@ def setup(app):
     # Before napoleon, which makes sections of what it is given.
     app.connect("autodoc-process-docstring", convert, priority=400)
     app.connect("autodoc-process-signature", shorten)
+    # After viewcode, which makes the links.
+    app.connect("doctree-read", unbracket, priority=900)
     app.add_autodocumenter(Class, override=True)
     app.add_autodocumenter(Constant, override=True)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -115,6 +115,7 @@ def docstrings():
         ("- *Memory*: 2 * (|u| + V_)", r"- *Memory*: 2 \* (\|u\| + V\_)"),
         ("obs_dim: O.", r"obs_dim: O\."),
         ("p(a | s) of r_ψ, that is 0.5.", r"p(a \| s) of r_ψ, that is 0.5."),
+        ("Is.\n\nReturns:\n    a: b", "Is.\n\nReturns:\n    \\\n    a: b"),
         ("T.\n\nAttributes:\n    x: y", "T\\.\n\nArgs:\n    x: y"),
     ],
 )
