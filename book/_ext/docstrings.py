@@ -78,7 +78,7 @@ def shorten(app, what, name, obj, options, signature, returns):
     return signature and signature.replace("<factory>", "..."), returns
 
 
-def unbracket(app, doctree):
+def unbracket(app, doctree, page):
     """Call the links to the code `source`, without brackets."""
     for link in doctree.findall(nodes.inline):
         if "viewcode-link" in link["classes"]:
@@ -116,8 +116,7 @@ def setup(app):
     # Before napoleon, which makes sections of what it is given.
     app.connect("autodoc-process-docstring", convert, priority=400)
     app.connect("autodoc-process-signature", shorten)
-    # After viewcode, which makes the links.
-    app.connect("doctree-read", unbracket, priority=900)
+    app.connect("doctree-resolved", unbracket)
     app.add_autodocumenter(Class, override=True)
     app.add_autodocumenter(Constant, override=True)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
