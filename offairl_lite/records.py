@@ -1,12 +1,12 @@
 """Records of runs: the files of a run's folder, and how they are read and written.
 
-config.json          what the run is: every field of `Config`, seeds, execution, demonstrations
-curve.csv            one row for each seed and evaluation
-run.json             what produced it: versions, machine, start, wall time, state
-frozen.safetensors   the reward that was given, if one was
-policy.safetensors   the policies at the end
-reward.safetensors   the learned rewards at the end, if any
-members/             what it takes to go on (see `runs`)
+- `config.json`: what the run is: every field of `Config`, seeds, execution, demonstrations;
+- `curve.csv`: one row for each seed and evaluation;
+- `run.json`: what produced it: versions, machine, start, wall time, state;
+- `frozen.safetensors`: the reward that was given, if one was;
+- `policy.safetensors`: the policies at the end;
+- `reward.safetensors`: the learned rewards at the end, if any;
+- `members/`: what it takes to go on (see `runs`).
 """
 
 import csv

@@ -3,10 +3,10 @@
 A run's members train in shards: groups that one process takes forward together. All that a shard
 needs to go on is in `members/SEEDS/`:
 
-checkpoint.safetensors  the trainer's state, what it belongs to, and how long the curve was then
-replay.f32              the replay, mapped into memory; it holds what the checkpoint looks back on
-curve.csv               the rows of these members
-lock                    held by the process that is at work
+- `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
+- `replay.f32`: the replay, mapped into memory; it holds what the checkpoint looks back on;
+- `curve.csv`: the rows of these members;
+- `lock`: held by the process that is at work.
 """
 
 import errno
