@@ -158,6 +158,23 @@ class Config:
     random point between an expert's and a policy's transition; or, as released, the probability
     D, by the state alone, with a coefficient of its own for each of s, a, s' and log π."""
 
+    penalty_sides: Literal["two", "one"] = "two"
+    """Which slopes it punishes: all but 1, or, one-sided, only those above 1: max(0, ‖∇‖ - 1)²."""
+
+    spectral_norm: bool = False
+    """Whether each weight matrix of r and V is divided by its largest singular value, which makes
+    the slopes of both 1 at most (Miyato et al. 2018)."""
+
+    bottleneck: float | None = None
+    """I_c: the most nats that a transition's stochastic code may carry, on average (Peng et al.
+    2019). None: r and V see their inputs as they are."""
+
+    bottleneck_size: int = 8
+    """Numbers in the code of r's input, and in that of V's."""
+
+    bottleneck_rate: float = 1e-5
+    """Step of the dual ascent that enforces `bottleneck`."""
+
     absorbing: Literal["none", "bootstrap", "analytic"] = "none"
     """What follows a termination: nothing; an absorbing state that loops (DAC); or the loop's
     return in closed form (the paper's R_T)."""
@@ -183,7 +200,13 @@ class Config:
         for name in ("discount", "discriminator_discount", "target_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
-        for name in ("update_every", "temperature", "discriminator_updates", "primitives"):
+        for name in (
+            "update_every",
+            "temperature",
+            "discriminator_updates",
+            "primitives",
+            "bottleneck",
+        ):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value!r}; expected a positive number or None")
@@ -229,6 +252,15 @@ class Config:
             )
         if self.absorbing == "analytic" and self.discount == 1:
             raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
+        if self.bottleneck is not None and self.spectral_norm:
+            raise ValueError(
+                f"bottleneck={self.bottleneck} and spectral_norm=True are alternatives: set one"
+            )
+        if self.bottleneck is not None and self.reward == "gan-gcl":
+            raise ValueError(
+                f"bottleneck={self.bottleneck} is for single transitions, and gan-gcl judges whole "
+                "episodes: set bottleneck=None"
+            )
 
     def _check_ppo(self) -> None:
         if self.update_every is None or self.update_every > self.replay_size:
@@ -261,6 +293,8 @@ _POSITIVE = (
     "actor_delay",
     "reward_scale",
     "discriminator_learning_rate",
+    "bottleneck_size",
+    "bottleneck_rate",
     "eval_every",
     "eval_episodes",
 )

@@ -156,6 +156,36 @@ def _retraining_variants() -> dict[str, dict[str, Any]]:
     return variants
 
 
+# The paper's four rewards, and DAC's. The first two contain -log π, so that SAC's own entropy is
+# one too many: next to it the temperature of `-once` is as good as none.
+_REWARDS = {
+    **{f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)},
+    "dac": {"reward": "dac"},
+}
+_ENTROPY_ONCE = {
+    f"implementation-{n}-once": {
+        "reward": f"implementation-{n}",
+        "temperature": 1e-3,
+        "target_entropy": None,
+    }
+    for n in (1, 2)
+}
+# What keeps the discriminator from being too steep or too sure.
+_PENALTIES = {
+    "none": {"gradient_penalty": 0.0},
+    "logit": {},
+    "one-sided": {"penalty_sides": "one"},
+    "probability": {"penalty_on": "probability"},
+    "spectral": {"gradient_penalty": 0.0, "spectral_norm": True},
+    "bottleneck": {"gradient_penalty": 0.0, "bottleneck": 0.5, "bottleneck_rate": 1e-3},
+}
+
+
+def _ant() -> Mapping[Scale, Config]:
+    full = replace(CORRECTED, env_id="offairl/CustomAnt-v0", update_every=1_000)
+    return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
@@ -241,6 +271,24 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         SEEDS,
         reward_from="maze-imitation",
         variants=_retraining_variants(),
+    ),
+    "maze-rewards": Experiment(
+        "Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once, too",
+        _both({}, {}),
+        SEEDS,
+        variants={**_REWARDS, **_ENTROPY_ONCE},
+    ),
+    "maze-penalties": Experiment(
+        "Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs",
+        _both({}, {}),
+        SEEDS,
+        variants=_PENALTIES,
+    ),
+    "ant-rewards": Experiment(
+        "Implementations 1 to 4 and DAC's reward on CustomAnt, from its demonstrations",
+        _ant(),
+        SEEDS,
+        variants=_REWARDS,
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",
