@@ -127,6 +127,10 @@ class Config:
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
 
+    log_prob_in_reward: bool = True
+    """Whether Implementations 1 and 2 pay f - log π. False: they pay f, and -log π is left to the
+    generator's own entropy term, whose `temperature` is then to be larger by 1."""
+
     log_density: Literal["exact", "released"] = "exact"
     """Density of a squashed action in the discriminator. `released`: the Gaussian density taken
     at the squashed action, without the tanh's Jacobian."""
@@ -252,6 +256,14 @@ class Config:
             )
         if self.absorbing == "analytic" and self.discount == 1:
             raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
+        if not self.log_prob_in_reward and self.reward not in (
+            "implementation-1",
+            "implementation-2",
+        ):
+            raise ValueError(
+                f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
+                "it is for implementation-1 and implementation-2"
+            )
         if self.bottleneck is not None and self.spectral_norm:
             raise ValueError(
                 f"bottleneck={self.bottleneck} and spectral_norm=True are alternatives: set one"

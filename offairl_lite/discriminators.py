@@ -425,7 +425,7 @@ class Discriminator:
         """
         if self.reward_is_logit:
             f = self.f(self.normaliser(batch.obs), batch.action, self.normaliser(batch.next_obs))
-            return log_odds(f, log_prob)
+            return log_odds(f, log_prob) if self.config.log_prob_in_reward else f
         r = self.frozen(batch.obs, batch.action)
         return r if self.is_airl else OF_LOGIT[self.config.reward](r)
 

@@ -156,18 +156,17 @@ def _retraining_variants() -> dict[str, dict[str, Any]]:
     return variants
 
 
-# The paper's four rewards, and DAC's. The first two contain -log π, so that SAC's own entropy is
-# one too many: next to it the temperature of `-once` is as good as none.
+# The paper's four rewards, and DAC's. The first two contain -log π, and SAC adds α of it: to count
+# it once, either SAC has as good as no temperature (cold), or it has all of it (soft).
 _REWARDS = {
     **{f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)},
     "dac": {"reward": "dac"},
 }
+_COLD = {"temperature": 1e-3, "target_entropy": None}
+_SOFT = {"temperature": 1.0, "target_entropy": None, "log_prob_in_reward": False}
 _ENTROPY_ONCE = {
-    f"implementation-{n}-once": {
-        "reward": f"implementation-{n}",
-        "temperature": 1e-3,
-        "target_entropy": None,
-    }
+    f"implementation-{n}-{name}": {"reward": f"implementation-{n}", **changes}
+    for name, changes in (("cold", _COLD), ("soft", _SOFT))
     for n in (1, 2)
 }
 # What keeps the discriminator from being too steep or too sure.

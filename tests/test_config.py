@@ -17,6 +17,7 @@ PPO = {"generator": "ppo", "update_every": 100}
         ({"absorbing": "yes"}, "absorbing is 'yes'.*bootstrap"),
         ({"penalty_on": "f"}, "penalty_on is 'f'"),
         ({"penalty_sides": "both"}, "penalty_sides is 'both'"),
+        ({"log_prob_in_reward": False}, "'implementation-4' has no log π to leave out"),
         ({"bottleneck": 0.0}, "bottleneck is 0.0"),
         ({"bottleneck": 0.5, "spectral_norm": True}, "bottleneck=0.5 and spectral_norm=True"),
         (PPO | {"bottleneck": 0.5, "reward": "gan-gcl"}, "gan-gcl judges whole episodes"),

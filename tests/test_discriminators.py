@@ -251,6 +251,17 @@ def test_each_implementation_pays_what_it_says(number):
     torch.testing.assert_close(discriminator.reward(batch, log_prob), expected.detach())
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_log_prob_may_be_left_to_the_generator(number):
+    config = replace(CORRECTED, reward=f"implementation-{number}", **SMALL)
+    batch, _, log_prob, *_ = data()
+    with_it, without = (
+        make(replace(config, log_prob_in_reward=there)).reward(batch, log_prob)
+        for there in (True, False)
+    )
+    torch.testing.assert_close(with_it, without - log_prob.detach())
+
+
 @pytest.mark.parametrize("name", OF_LOGIT)
 def test_a_discriminator_without_the_policy_pays_what_its_logit_is_worth(name):
     discriminator, batch = make(replace(CONFIGS["dac"], reward=name)), data()[0]
