@@ -235,20 +235,19 @@ class Discriminator:
     @property
     def reward_weights(self) -> Float[Tensor, "S P"]:
         """The weights of `reward_net`, made of those that are trained."""
-        if self.vectors is not None:
-            return self.reward_net.spectrally_normalised(self.reward_params, self.vectors[0])
-        if self.multiplier is not None:
-            return self.reward_form.at_mean(self.reward_params)
-        return self.reward_params
+        return self._weights(0, self.reward_form, self.reward_params)
 
     @property
     def value_weights(self) -> Float[Tensor, "S P"]:
         """The weights of `value_net`, made of those that are trained."""
+        return self._weights(1, self.value_form, self.value_params)
+
+    def _weights(
+        self, part: int, form: StackedMLP | Bottleneck, params: Float[Tensor, "S P"]
+    ) -> Float[Tensor, "S Q"]:
         if self.vectors is not None:
-            return self.value_net.spectrally_normalised(self.value_params, self.vectors[1])
-        if self.multiplier is not None:
-            return self.value_form.at_mean(self.value_params)
-        return self.value_params
+            return form.spectrally_normalised(params, self.vectors[part])
+        return params if self.multiplier is None else form.at_mean(params)
 
     def f(
         self,

@@ -1,13 +1,13 @@
 r"""How far apart two rewards are, whatever their shift, scale and shaping: the EPIC distance.
 
 Gleave et al., "Quantifying Differences in Reward Functions" (2021). A reward is first brought into
-a form that potential shaping leaves alone (definition 4.1),
+a form that potential shaping leaves alone,
 
 $$C(R)(s, a, s') = R(s, a, s') + \mathbb{E}\big[
     \gamma R(s', A, S') - R(s, A, S') - \gamma R(S, A, S')\big],$$
 
 with S, A and S' drawn independently of one another; then two of them are compared by Pearson's
-distance $\sqrt{(1 - \rho) / 2}$ over transitions (definitions 4.5 and 4.7).
+distance $\sqrt{(1 - \rho) / 2}$ over transitions (section 4 of the paper).
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ RewardFunction = Callable[
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return the canonically shaped reward of transitions (definition 4.1).
+    """Return the canonically shaped reward of transitions.
 
     Shaping by any potential adds one and the same constant to it, whatever the samples.
 
@@ -78,7 +78,7 @@ def distances(
     samples: Transitions,
     discount: float,
 ) -> Float[Tensor, "K K"]:
-    """Return the EPIC distance of each reward to each (definition 4.7), from 0 to 1.
+    """Return the EPIC distance of each reward to each, from 0 to 1.
 
     Args:
         rewards: K functions R(s, a, s').
