@@ -127,6 +127,10 @@ class Config:
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
 
+    log_prob_in_reward: bool = True
+    """Whether Implementations 1 and 2 pay f - log π. False: they pay f, and -log π is left to the
+    generator's own entropy term, whose `temperature` is then to be larger by 1."""
+
     log_density: Literal["exact", "released"] = "exact"
     """Density of a squashed action in the discriminator. `released`: the Gaussian density taken
     at the squashed action, without the tanh's Jacobian."""
@@ -158,6 +162,23 @@ class Config:
     random point between an expert's and a policy's transition; or, as released, the probability
     D, by the state alone, with a coefficient of its own for each of s, a, s' and log π."""
 
+    penalty_sides: Literal["two", "one"] = "two"
+    """Which slopes it punishes: all but 1, or, one-sided, only those above 1: max(0, ‖∇‖ - 1)²."""
+
+    spectral_norm: bool = False
+    """Whether each weight matrix of r and V is divided by its largest singular value, which makes
+    the slopes of both 1 at most (Miyato et al. 2018)."""
+
+    bottleneck: float | None = None
+    """I_c: the most nats that a transition's stochastic code may carry, on average (Peng et al.
+    2019). None: r and V see their inputs as they are."""
+
+    bottleneck_size: int = 8
+    """Numbers in the code of r's input, and in that of V's."""
+
+    bottleneck_rate: float = 1e-5
+    """Step of the dual ascent that enforces `bottleneck`."""
+
     absorbing: Literal["none", "bootstrap", "analytic"] = "none"
     """What follows a termination: nothing; an absorbing state that loops (DAC); or the loop's
     return in closed form (the paper's R_T)."""
@@ -183,7 +204,13 @@ class Config:
         for name in ("discount", "discriminator_discount", "target_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; expected a number in [0, 1]")
-        for name in ("update_every", "temperature", "discriminator_updates", "primitives"):
+        for name in (
+            "update_every",
+            "temperature",
+            "discriminator_updates",
+            "primitives",
+            "bottleneck",
+        ):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value!r}; expected a positive number or None")
@@ -229,6 +256,23 @@ class Config:
             )
         if self.absorbing == "analytic" and self.discount == 1:
             raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
+        if not self.log_prob_in_reward and self.reward not in (
+            "implementation-1",
+            "implementation-2",
+        ):
+            raise ValueError(
+                f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
+                "it is for implementation-1 and implementation-2"
+            )
+        if self.bottleneck is not None and self.spectral_norm:
+            raise ValueError(
+                f"bottleneck={self.bottleneck} and spectral_norm=True are alternatives: set one"
+            )
+        if self.bottleneck is not None and self.reward == "gan-gcl":
+            raise ValueError(
+                f"bottleneck={self.bottleneck} is for single transitions, and gan-gcl judges whole "
+                "episodes: set bottleneck=None"
+            )
 
     def _check_ppo(self) -> None:
         if self.update_every is None or self.update_every > self.replay_size:
@@ -261,6 +305,8 @@ _POSITIVE = (
     "actor_delay",
     "reward_scale",
     "discriminator_learning_rate",
+    "bottleneck_size",
+    "bottleneck_rate",
     "eval_every",
     "eval_episodes",
 )

@@ -11,7 +11,9 @@ shaping, no log π. GAN-GCL's judges an episode at once: $\ell = \sum_t r_\psi(s
 
 from dataclasses import dataclass, replace
 from os import PathLike
+from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,7 +21,9 @@ from torch.nn.functional import softplus
 
 from offairl_lite.config import Config
 from offairl_lite.networks import (
+    TINY,
     Adam,
+    Bottleneck,
     Normaliser,
     StackedMLP,
     descend,
@@ -43,8 +47,8 @@ def shaped_reward(
 
 
 def binary_cross_entropy(
-    expert_logit: Float[Tensor, "S B"], policy_logit: Float[Tensor, "S B"]
-) -> Float[Tensor, "S"]:
+    expert_logit: Float[Tensor, "*S B"], policy_logit: Float[Tensor, "*S B"]
+) -> Float[Tensor, "*S"]:
     """Return -E_expert log D - E_policy log(1 - D), for D = σ(logit)."""
     return (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
 
@@ -59,10 +63,47 @@ def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E
     return logit.unflatten(1, (-1, horizon)).sum(-1)
 
 
-def gradient_penalty(square: Float[Tensor, "S B"]) -> Float[Tensor, "S"]:
-    """Return E (‖∇‖ - 1)², from ‖∇‖² (Gulrajani et al. 2017)."""
+def gradient_penalty(
+    square: Float[Tensor, "S B"], sides: Literal["two", "one"] = "two"
+) -> Float[Tensor, "S"]:
+    """Return E (‖∇‖ - 1)², from ‖∇‖² (Gulrajani et al. 2017).
+
+    One-sided it is E max(0, ‖∇‖ - 1)²: flat is no fault (Petzka et al. 2018).
+    """
     # The root's slope at 0 must be finite.
-    return ((square + 1e-12).sqrt() - 1).square().mean(-1)
+    excess = (square + TINY).sqrt() - 1
+    return (excess if sides == "two" else excess.relu()).square().mean(-1)
+
+
+def expected_cross_entropy(
+    expert_logit: Float[Tensor, "S B"],
+    policy_logit: Float[Tensor, "S B"],
+    expert_variance: Float[Tensor, "S B"],
+    policy_variance: Float[Tensor, "S B"],
+    quadrature: Float[Tensor, "2 K"],
+) -> Float[Tensor, "S"]:
+    """Return the mean of `binary_cross_entropy` for Gaussian logits, of these means and variances.
+
+    Args:
+        expert_logit: means on the expert's side.
+        policy_logit: means on the policy's side.
+        expert_variance: of the expert's logits.
+        policy_variance: of the policy's logits.
+        quadrature: nodes and weights, as of `gauss_hermite`.
+    """
+    nodes, weights = quadrature
+    sides = (expert_logit, expert_variance), (policy_logit, policy_variance)
+    logits = [m + (v + TINY).sqrt() * nodes.view(-1, 1, 1) for m, v in sides]
+    return weights @ binary_cross_entropy(*logits)
+
+
+def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
+    """Return nodes and weights of the mean over a standard normal variable.
+
+    With 32, the mean softplus of a normal variable is exact to 1e-3 up to a spread of 5.
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
+    return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
 
 
 @dataclass(frozen=True)
@@ -165,17 +206,53 @@ class Discriminator:
         activation = config.discriminator_activation
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), activation)
         self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), activation)
-        self.reward_params = self.reward_net.init(streams)
-        self.value_params = self.value_net.init(streams)
+        self.reward_form, self.value_form = self.reward_net, self.value_net
+        if config.bottleneck is not None:
+            self.reward_form, self.value_form = (
+                Bottleneck(net.sizes, config.bottleneck_size, activation)
+                for net in (self.reward_net, self.value_net)
+            )
+        self.reward_params = self.reward_form.init(streams)
+        self.value_params = self.value_form.init(streams)
         self.reward_optimizer = Adam(self.reward_params, config.discriminator_learning_rate)
         self.value_optimizer = Adam(self.value_params, config.discriminator_learning_rate)
+        # What else an update changes, where there is such: the singular vectors of r's and of V's
+        # weights, and the multiplier β of the bottleneck.
+        self.vectors = self.multiplier = None
+        if config.spectral_norm:
+            self.vectors = [net.init_vectors(streams) for net in (self.reward_net, self.value_net)]
+        if config.bottleneck is not None:
+            self.multiplier = torch.zeros(len(streams), 1, device=streams.device)
+            self.quadrature = gauss_hermite().to(streams.device)
         self.step = self._step
         """One update. A faster form of it may take its place."""
 
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
-        return optimizer_states({"reward": self.reward_optimizer, "value": self.value_optimizer})
+        state = optimizer_states({"reward": self.reward_optimizer, "value": self.value_optimizer})
+        if self.vectors is not None:
+            state |= dict(zip(("reward.vectors", "value.vectors"), self.vectors, strict=True))
+        if self.multiplier is not None:
+            state["multiplier"] = self.multiplier
+        return state
+
+    @property
+    def reward_weights(self) -> Float[Tensor, "S P"]:
+        """The weights of `reward_net`, made of those that are trained."""
+        return self._weights(0, self.reward_form, self.reward_params)
+
+    @property
+    def value_weights(self) -> Float[Tensor, "S P"]:
+        """The weights of `value_net`, made of those that are trained."""
+        return self._weights(1, self.value_form, self.value_params)
+
+    def _weights(
+        self, part: int, form: StackedMLP | Bottleneck, params: Float[Tensor, "S P"]
+    ) -> Float[Tensor, "S Q"]:
+        if self.vectors is not None:
+            return form.spectrally_normalised(params, self.vectors[part])
+        return params if self.multiplier is None else form.at_mean(params)
 
     def f(
         self,
@@ -185,10 +262,10 @@ class Discriminator:
     ) -> Float[Tensor, "S B"]:
         """Return f(s, a, s') of normalised observations; without AIRL there is no shaping."""
         x = obs if self.state_only else torch.cat([obs, action], -1)
-        r = self.reward_net(self.reward_params, x).squeeze(-1)
+        r = self.reward_net(self.reward_weights, x).squeeze(-1)
         if not self.is_airl:
             return r
-        values = self.value_net(self.value_params, torch.cat([obs, next_obs], 1)).squeeze(-1)
+        values = self.value_net(self.value_weights, torch.cat([obs, next_obs], 1)).squeeze(-1)
         value, next_value = values.chunk(2, 1)
         return shaped_reward(r, value, next_value, self.config.discriminator_discount)
 
@@ -200,16 +277,38 @@ class Discriminator:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return f and its gradients by s, a and s'."""
         x = obs if self.state_only else torch.cat([obs, action], -1)
-        r, by_x = self.reward_net.value_and_input_gradient(self.reward_params, x)
+        r, by_x = self.reward_net.value_and_input_gradient(self.reward_weights, x)
         by_obs, by_action = by_x[..., : obs.shape[-1]], by_x[..., obs.shape[-1] :]
         if not self.is_airl:
             return r, by_obs, by_action, torch.zeros_like(by_obs)
         states = torch.cat([obs, next_obs], 1)
-        values, slopes = self.value_net.value_and_input_gradient(self.value_params, states)
+        values, slopes = self.value_net.value_and_input_gradient(self.value_weights, states)
         (value, next_value), (slope, next_slope) = values.chunk(2, 1), slopes.chunk(2, 1)
         discount = self.config.discriminator_discount
         f = shaped_reward(r, value, next_value, discount)
         return f, by_obs - slope, by_action, discount * next_slope
+
+    def spread(
+        self,
+        obs: Float[Tensor, "S B O"],
+        action: Float[Tensor, "S B A"],
+        next_obs: Float[Tensor, "S B O"],
+    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+        """Return the variance of f through the bottleneck's code, and its divergence in nats.
+
+        The code of a transition is that of r's input, that of V's at s and that at s', drawn
+        independently of one another.
+        """
+        x = obs if self.state_only else torch.cat([obs, action], -1)
+        variance, divergence = self.reward_form.spread(self.reward_params, x)
+        if not self.is_airl:
+            return variance, divergence
+        states = torch.cat([obs, next_obs], 1)
+        both = self.value_form.spread(self.value_params, states)
+        (now, then), (divergence_now, divergence_then) = (part.chunk(2, 1) for part in both)
+        discount = self.config.discriminator_discount
+        variance = variance + now + discount**2 * then
+        return variance, divergence + divergence_now + divergence_then
 
     def loss(
         self,
@@ -220,6 +319,9 @@ class Discriminator:
         coefficient: Float[Tensor, "S B 4"],
     ) -> tuple[Float[Tensor, ""], dict[str, Float[Tensor, "S"]]]:
         """Return cross-entropy plus weighted penalty, and diagnostics of each member.
+
+        With a bottleneck the cross-entropy is the expected one, and β (KL - I_c) is added; the
+        penalty, where there is one, is that of the code's mean.
 
         Args:
             expert: demonstrations.
@@ -234,7 +336,8 @@ class Discriminator:
             (self.normaliser(b.obs), b.action, self.normaliser(b.next_obs))
             for b in (expert, policy)
         ]
-        f = self.f(*(torch.cat(parts, 1) for parts in zip(*sides, strict=True)))
+        transitions = [torch.cat(parts, 1) for parts in zip(*sides, strict=True)]
+        f = self.f(*transitions)
         expert_f, policy_f = f.chunk(2, 1)
         on_probability = self.config.penalty_on == "probability"
         part = coefficient.unbind(-1) if on_probability else [coefficient[..., 0]] * 4
@@ -258,8 +361,15 @@ class Discriminator:
             square = square * (d * (1 - d)).square()
         else:
             square = square + by_action.square().sum(-1) + by_next_obs.square().sum(-1)
-        cross_entropy = binary_cross_entropy(expert_logit, policy_logit)
-        penalty = gradient_penalty(square)
+        penalty = gradient_penalty(square, self.config.penalty_sides)
+        if self.multiplier is None:
+            cross_entropy = binary_cross_entropy(expert_logit, policy_logit)
+        else:
+            variance, divergence = self.spread(*transitions)
+            variances = variance.chunk(2, 1)
+            cross_entropy = expected_cross_entropy(
+                expert_logit, policy_logit, *variances, self.quadrature
+            )
         metrics = {
             "cross_entropy": cross_entropy.detach(),
             "penalty": penalty.detach(),
@@ -268,7 +378,13 @@ class Discriminator:
             "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
             "entropy": (entropy(expert_logit) + entropy(policy_logit)).detach().mean(-1) / 2,
         }
-        return (cross_entropy + self.config.gradient_penalty * penalty).sum(), metrics
+        loss = cross_entropy + self.config.gradient_penalty * penalty
+        if self.multiplier is not None:
+            excess = divergence.mean(-1) - self.config.bottleneck
+            multiplier = self.multiplier.squeeze(-1)
+            loss = loss + multiplier * excess
+            metrics |= {"excess": excess.detach(), "multiplier": multiplier.clone()}
+        return loss.sum(), metrics
 
     def update(
         self,
@@ -289,11 +405,19 @@ class Discriminator:
         policy_log_prob: Float[Tensor, "S B"] | None,
         coefficient: Float[Tensor, "S B 4"],
     ) -> dict[str, Float[Tensor, "S"]]:
+        if self.vectors is not None:
+            trained = (self.reward_net, self.reward_params), (self.value_net, self.value_params)
+            for (net, params), vectors in zip(trained, self.vectors, strict=True):
+                vectors.copy_(net.power_iteration(params, vectors))
         loss, metrics = self.loss(expert, policy, expert_log_prob, policy_log_prob, coefficient)
         if self.is_airl:
             descend(loss, self.reward_optimizer, self.value_optimizer)
         else:
             descend(loss, self.reward_optimizer)
+        if self.multiplier is not None:
+            with torch.no_grad():
+                ascent = self.config.bottleneck_rate * metrics["excess"].unsqueeze(-1)
+                self.multiplier.add_(ascent).clamp_(min=0)
         return metrics
 
     @torch.no_grad()
@@ -306,12 +430,12 @@ class Discriminator:
         """
         if self.reward_is_logit:
             f = self.f(self.normaliser(batch.obs), batch.action, self.normaliser(batch.next_obs))
-            return log_odds(f, log_prob)
+            return log_odds(f, log_prob) if self.config.log_prob_in_reward else f
         r = self.frozen(batch.obs, batch.action)
         return r if self.is_airl else OF_LOGIT[self.config.reward](r)
 
     @property
     def frozen(self) -> Reward:
         """r as it is now; later updates do not change it."""
-        params, env_id = self.reward_params.detach().clone(), self.config.env_id
+        params, env_id = self.reward_weights.detach().clone(), self.config.env_id
         return Reward(env_id, self.reward_net, self.state_only, params, self.normaliser)

@@ -164,6 +164,35 @@ _ABSORBING = {
 }
 
 
+# The paper's four rewards, and DAC's. The first two contain -log π, and SAC adds α of it: to count
+# it once, either SAC has as good as no temperature (cold), or it has all of it (soft).
+_REWARDS = {
+    **{f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)},
+    "dac": {"reward": "dac"},
+}
+_COLD = {"temperature": 1e-3, "target_entropy": None}
+_SOFT = {"temperature": 1.0, "target_entropy": None, "log_prob_in_reward": False}
+_ENTROPY_ONCE = {
+    f"implementation-{n}-{name}": {"reward": f"implementation-{n}", **changes}
+    for name, changes in (("cold", _COLD), ("soft", _SOFT))
+    for n in (1, 2)
+}
+# What keeps the discriminator from being too steep or too sure.
+_PENALTIES = {
+    "none": {"gradient_penalty": 0.0},
+    "logit": {},
+    "one-sided": {"penalty_sides": "one"},
+    "probability": {"penalty_on": "probability"},
+    "spectral": {"gradient_penalty": 0.0, "spectral_norm": True},
+    "bottleneck": {"gradient_penalty": 0.0, "bottleneck": 0.5, "bottleneck_rate": 1e-3},
+}
+
+
+def _ant() -> Mapping[Scale, Config]:
+    full = replace(CORRECTED, env_id="offairl/CustomAnt-v0", update_every=1_000)
+    return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
@@ -272,6 +301,24 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _both(_ON_POLICY_DEMO, {}, **_ON_POLICY, reward="implementation-2"),
         SEEDS,
         variants={"recent": {"replay_size": 40_000}, "all": {"replay_size": 1_000_000}},
+    ),
+    "maze-rewards": Experiment(
+        "Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once, too",
+        _both({}, {}),
+        SEEDS,
+        variants={**_REWARDS, **_ENTROPY_ONCE},
+    ),
+    "maze-penalties": Experiment(
+        "Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs",
+        _both({}, {}),
+        SEEDS,
+        variants=_PENALTIES,
+    ),
+    "ant-rewards": Experiment(
+        "Implementations 1 to 4 and DAC's reward on CustomAnt, from its demonstrations",
+        _ant(),
+        SEEDS,
+        variants=_REWARDS,
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch.nn.functional import softplus
 
 from offairl_lite.config import CORRECTED, RELEASE
 from offairl_lite.discriminators import (
@@ -10,6 +11,8 @@ from offairl_lite.discriminators import (
     Reward,
     binary_cross_entropy,
     entropy,
+    expected_cross_entropy,
+    gauss_hermite,
     gradient_penalty,
     per_episode,
     shaped_reward,
@@ -29,9 +32,14 @@ CONFIGS = {
     "released r(s)": replace(RELEASE, **SMALL),
     "released r(s, a)": replace(RELEASE, reward="implementation-3", **SMALL),
     "dac on probability": replace(CORRECTED, reward="dac", penalty_on="probability", **SMALL),
+    "one-sided r(s)": replace(CORRECTED, penalty_sides="one", **SMALL),
+    "spectral r(s, a)": replace(CORRECTED, reward="implementation-3", spectral_norm=True, **SMALL),
+    "bottleneck r(s)": replace(CORRECTED, bottleneck=0.5, bottleneck_size=3, **SMALL),
+    "bottleneck dac": replace(CORRECTED, reward="dac", bottleneck=0.5, **SMALL),
     "gan-gcl": replace(CORRECTED, reward="gan-gcl", generator="ppo", update_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]
+LEARNS = {"discriminator_learning_rate": 0.05, "bottleneck_rate": 0.1}
 every_config = pytest.mark.parametrize("name", CONFIGS)
 
 
@@ -44,6 +52,12 @@ def make(config, seeds=(0, 1), dtype=torch.float64):
         made.normaliser = Normaliser(*(part.double() for part in normaliser))
         made.reward_params = made.reward_params.detach().double().requires_grad_()
         made.value_params = made.value_params.detach().double().requires_grad_()
+        if made.vectors is not None:
+            made.vectors = [vectors.double() for vectors in made.vectors]
+        if made.multiplier is not None:
+            # Not 0, at which the divergence would not be felt.
+            made.multiplier = made.multiplier.double() + 0.7
+            made.quadrature = made.quadrature.double()
     return made
 
 
@@ -113,15 +127,21 @@ def test_the_penalty_vanishes_at_norm_one_and_has_a_slope_at_zero():
     assert torch.autograd.grad(penalty.sum(), square)[0].isfinite().all()
 
 
+def test_the_one_sided_penalty_forgives_what_is_flat():
+    square = torch.tensor([[0.0, 0.25], [4.0, 9.0], [0.25, 4.0]], dtype=torch.float64)
+    expected = torch.tensor([0, 2.5, 0.5], dtype=torch.float64)
+    torch.testing.assert_close(gradient_penalty(square, "one"), expected)
+
+
 @pytest.mark.parametrize("name", AIRL)
 def test_f_is_reward_plus_shaping_by_separate_networks(name):
     config, discriminator = CONFIGS[name], make(CONFIGS[name])
     batch = data()[0]
     s, s_next = discriminator.normaliser(batch.obs), discriminator.normaliser(batch.next_obs)
     x = s if "r(s)" in name else torch.cat([s, batch.action], -1)
-    r = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
+    r = discriminator.reward_net(discriminator.reward_weights, x).squeeze(-1)
     v, v_next = (
-        discriminator.value_net(discriminator.value_params, y).squeeze(-1) for y in (s, s_next)
+        discriminator.value_net(discriminator.value_weights, y).squeeze(-1) for y in (s, s_next)
     )
     expected = r + config.discriminator_discount * v_next - v
     torch.testing.assert_close(discriminator.f(s, batch.action, s_next), expected)
@@ -169,10 +189,11 @@ def test_the_penalty_is_that_of_autograd_between_both_sides(name):
     by = mixed if on_logit else mixed[:1]
     gradients = torch.autograd.grad(output.sum(), by, allow_unused=True, materialize_grads=True)
     norm = torch.cat(gradients, -1).norm(dim=-1)
-    torch.testing.assert_close(metrics["penalty"], (norm - 1).square().mean(1))
+    excess = (norm - 1).clamp(min=0) if config.penalty_sides == "one" else norm - 1
+    torch.testing.assert_close(metrics["penalty"], excess.square().mean(1))
 
 
-@pytest.mark.parametrize("name", AIRL)
+@pytest.mark.parametrize("name", [name for name in AIRL if "bottleneck" not in name])
 def test_log_odds_of_the_discriminator_are_f_minus_log_prob(name):
     config = replace(CONFIGS[name], gradient_penalty=0.0, policy_in_logit=True)
     discriminator, (expert, policy, *logs, c) = make(config), data()
@@ -236,6 +257,17 @@ def test_each_implementation_pays_what_it_says(number):
     if number in (1, 2):
         expected = discriminator.f(s, batch.action, s_next) - log_prob
     torch.testing.assert_close(discriminator.reward(batch, log_prob), expected.detach())
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_log_prob_may_be_left_to_the_generator(number):
+    config = replace(CORRECTED, reward=f"implementation-{number}", **SMALL)
+    batch, _, log_prob, *_ = data()
+    with_it, without = (
+        make(replace(config, log_prob_in_reward=there)).reward(batch, log_prob)
+        for there in (True, False)
+    )
+    torch.testing.assert_close(with_it, without - log_prob.detach())
 
 
 @pytest.mark.parametrize("name", OF_LOGIT)
@@ -358,6 +390,128 @@ def test_a_frozen_reward_stays_and_comes_back_from_a_file(tmp_path):
     assert (loaded.env_id, loaded.state_only) == (frozen.env_id, False)
     assert (loaded.net, len(loaded)) == (frozen.net, 2)
     torch.testing.assert_close(loaded.member(1)(obs[1:], action[1:]), before[1:])
+
+
+# Spectral normalisation, and the bottleneck.
+
+
+@pytest.mark.parametrize("name", ["spectral r(s, a)", "bottleneck r(s)", "bottleneck dac"])
+def test_what_is_frozen_is_the_reward_that_the_discriminator_has(name):
+    discriminator, batches = make(CONFIGS[name], dtype=torch.float32), data(dtype=torch.float32)
+    discriminator.update(*batches)
+    batch, _, log_prob, *_ = batches
+    paid = discriminator.reward(batch, log_prob)
+    torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), paid)
+
+
+@pytest.mark.parametrize("name", ["spectral r(s, a)", "bottleneck r(s)"])
+def test_training_goes_on_from_a_state_exactly(name):
+    batches = data(dtype=torch.float32)
+    config = replace(CONFIGS[name], **LEARNS)
+    one, other = (make(config, dtype=torch.float32) for _ in range(2))
+    for _ in range(3):
+        one.update(*batches)
+    for key, tensor in other.state.items():
+        tensor.copy_(one.state[key])
+    for _ in range(3):
+        for discriminator in (one, other):
+            discriminator.update(*batches)
+    assert all(torch.equal(x, other.state[key]) for key, x in one.state.items())
+
+
+def test_spectral_normalisation_bounds_the_slopes_of_reward_and_shaping():
+    config = replace(CONFIGS["spectral r(s, a)"], gradient_penalty=0.0, **LEARNS)
+    discriminator, batches = make(config, dtype=torch.float32), data(batch=64, dtype=torch.float32)
+    free = make(replace(config, spectral_norm=False), dtype=torch.float32)
+    for _ in range(200):
+        free.update(*batches)
+        discriminator.update(*batches)
+    inputs = [batches[0].obs, batches[0].action, batches[0].next_obs]
+    steepest = []
+    for made in (discriminator, free):
+        _, by_obs, by_action, by_next_obs = made.f_and_gradients(*inputs)
+        r_slope = torch.cat([by_obs, by_action], -1)
+        steepest.append((by_action.norm(dim=-1).max(), by_next_obs.norm(dim=-1).max(), r_slope))
+    # Of f by (s, a): r's slope and V's, 1 at most each.
+    assert steepest[0][0] <= 1.01
+    assert steepest[0][1] <= 1.01
+    assert steepest[0][2].norm(dim=-1).max() <= 2.02
+    assert steepest[1][0] > 1.5
+    assert steepest[1][1] > 1.5
+
+
+def test_the_expected_cross_entropy_is_that_of_samples():
+    means, variances = (Streams((i, i + 1)).normal(B).double() for i in (0, 5)), (4.0, 0.01)
+    expert, policy = (3 * mean for mean in means)
+    variances = [torch.full_like(expert, v) for v in variances]
+    noise = Streams((7, 8)).normal(2, 200_000, B).double()
+    logits = [m.unsqueeze(1) + v.sqrt().unsqueeze(1) * noise[:, i] for i, (m, v) in
+              enumerate(zip((expert, policy), variances, strict=True))]  # fmt: skip
+    sampled = binary_cross_entropy(*logits).mean(1)
+    expected = expected_cross_entropy(expert, policy, *variances, gauss_hermite().double())
+    torch.testing.assert_close(expected, sampled, rtol=0, atol=1e-2)
+    certain = [torch.zeros_like(v) for v in variances]
+    torch.testing.assert_close(
+        expected_cross_entropy(expert, policy, *certain, gauss_hermite().double()),
+        binary_cross_entropy(expert, policy),
+        rtol=0,
+        atol=1e-5,
+    )
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, 5.0])
+def test_quadrature_is_exact_as_far_as_it_says(spread):
+    nodes, weights = gauss_hermite().double()
+    mean = torch.linspace(-20, 20, 21, dtype=torch.float64).unsqueeze(1)
+    x = torch.linspace(-12, 12, 100_001, dtype=torch.float64)
+    density = torch.exp(-x.square() / 2) / math.sqrt(2 * math.pi)
+    expected = torch.trapezoid(softplus(mean + spread * x) * density, x)
+    quadrature = softplus(mean + spread * nodes) @ weights
+    torch.testing.assert_close(quadrature, expected, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["bottleneck r(s)", "bottleneck dac"])
+def test_the_spread_of_f_is_that_of_sampled_codes(name):
+    config, discriminator, batch = CONFIGS[name], make(CONFIGS[name]), data()[0]
+    inputs = batch.obs, batch.action, batch.next_obs
+    x = batch.obs if "r(s)" in name else torch.cat(inputs[:2], -1)
+    terms = [(discriminator.reward_form, discriminator.reward_params, x, 1.0)]
+    if "r(s)" in name:
+        gamma = config.discriminator_discount
+        form, params = discriminator.value_form, discriminator.value_params
+        terms += [(form, params, batch.obs, -1.0), (form, params, batch.next_obs, gamma)]
+    variance = divergence = 0
+    for form, params, y, sign in terms:
+        own, kl = form.spread(params, y)
+        variance, divergence = variance + sign**2 * own, divergence + kl
+    torch.testing.assert_close(discriminator.spread(*inputs), (variance, divergence))
+
+
+def test_the_multiplier_rises_with_the_divergence_and_never_falls_below_zero():
+    batches = data(dtype=torch.float32)
+    for limit, rises in ((1e-6, True), (1e6, False)):
+        config = replace(CONFIGS["bottleneck r(s)"], bottleneck=limit, bottleneck_rate=0.1)
+        discriminator = make(config, dtype=torch.float32)
+        metrics = discriminator.update(*batches)
+        assert (metrics["multiplier"] == 0).all()
+        expected = (0.1 * metrics["excess"]).clamp(min=0).unsqueeze(1)
+        torch.testing.assert_close(discriminator.multiplier, expected)
+        assert (discriminator.multiplier > 0).all() == rises
+
+
+def test_the_bottleneck_holds_the_divergence_at_its_limit():
+    config = replace(CONFIGS["bottleneck r(s)"], discriminator_learning_rate=1e-2)
+    config = replace(config, bottleneck_rate=1e-2, gradient_penalty=0.0)
+    expert, policy, *logs, c = data(batch=64, dtype=torch.float32)
+    expert = expert._replace(obs=expert.obs + 2, next_obs=expert.next_obs + 2)
+    held, free = (
+        make(replace(config, bottleneck=limit), dtype=torch.float32) for limit in (0.5, 1e6)
+    )
+    for _ in range(1000):
+        metrics, unbounded = (d.update(expert, policy, *logs, c) for d in (held, free))
+    assert (metrics["excess"].abs() < 0.25).all()
+    assert (unbounded["excess"] + 1e6 > 2).all()
+    assert (metrics["accuracy"] > 0.7).all()
 
 
 def test_a_reward_of_the_state_needs_no_action():

@@ -1,5 +1,6 @@
 """The experiments: full scale is the paper's protocol, and what is not in it is named."""
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -63,6 +64,32 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
         *("gail-survival", "gail-termination", "dac", "gan-gcl"),
         *("implementation-1", "implementation-2"),
     }
+
+
+def test_entropy_is_counted_once_in_two_ways():
+    experiment = find("maze-rewards")
+    for scale, number in itertools.product(("demo", "full"), (1, 2)):
+        twice, cold, soft = (
+            replace(experiment.configs[scale], **experiment.variants[name])
+            for name in (f"implementation-{number}{form}" for form in ("", "-cold", "-soft"))
+        )
+        assert cold.log_prob_in_reward
+        assert cold.temperature < 0.01
+        assert set(differences(twice, cold)) == {"temperature", "target_entropy"}
+        assert not soft.log_prob_in_reward
+        assert soft.temperature == 1
+        assert set(differences(cold, soft)) == {"temperature", "log_prob_in_reward"}
+
+
+def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else():
+    experiment = find("maze-penalties")
+    bounds = {"gradient_penalty", "penalty_on", "penalty_sides", "spectral_norm"}
+    bounds |= {"bottleneck", "bottleneck_rate"}
+    imitation = find("maze-imitation").configs
+    for scale, config in experiment.configs.items():
+        assert differences(config, imitation[scale]) == {}
+        for changes in experiment.variants.values():
+            assert set(differences(config, replace(config, **changes))) <= bounds
 
 
 def test_what_the_maze_adds_to_the_corrected_preset():
