@@ -19,7 +19,7 @@ START = np.array([LENGTH / 2, 0.0])
 """Where the particle starts, (2,)."""
 GOAL = np.array([LENGTH / 2, LENGTH - 0.1])
 """Centre of the target, (2,)."""
-MARSH = np.array([(-0.1, 0.1), (0.4, 0.4)])
+MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])
 """Lower and upper corner of the marsh, (2, 2)."""
 WEST = np.array([0.05, 0.0])
 """Another start on the marsh, from which the straight way to the goal crosses it too, (2,)."""
