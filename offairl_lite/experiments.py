@@ -264,7 +264,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_retraining_variants(),
     ),
     "maze-rewards": Experiment(
-        "What a reward from one maze is worth in the other: from scratch, from a policy, and so on",
+        "What a reward is worth in the other maze: from scratch or a policy, with help or alone",
         _both({"total_steps": 8_000}, {}, env_id=RIGHT, reward="frozen"),
         SEEDS,
         reward_from="maze-imitation",
