@@ -263,7 +263,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         reward_from="maze-imitation",
         variants=_retraining_variants(),
     ),
-    "maze-rewards": Experiment(
+    "maze-transfer-rewards": Experiment(
         "What a reward is worth in the other maze: from scratch or a policy, with help or alone",
         _both({"total_steps": 8_000}, {}, env_id=RIGHT, reward="frozen"),
         SEEDS,

@@ -89,7 +89,7 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
 
 
 def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
-    experiment = find("maze-rewards")
+    experiment = find("maze-transfer-rewards")
     transfer, expert = find("maze-transfer").configs["demo"], find("maze-expert").configs["demo"]
     runs = {
         name: replace(experiment.configs["demo"], **changes)
