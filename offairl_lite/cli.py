@@ -148,9 +148,9 @@ def _run_command(name: str, size: Scale):
         dataset: str | None = None,
         trajectories: int = 50,
         subsample: int = 1,
-        frozen: Path | None = None,
-        carried: Path | None = None,
-        guide: Path | None = None,
+        frozen: tuple[Path, ...] = (),
+        carried: tuple[Path, ...] = (),
+        guide: tuple[Path, ...] = (),
         device: Literal["cpu", "cuda"] = "cpu",
         threads: int = 1,
         compile: Literal["auto", "yes", "no"] = "auto",
@@ -167,7 +167,8 @@ def _run_command(name: str, size: Scale):
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
-            frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
+                several, one population after the other.
             carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
             guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.
@@ -177,7 +178,7 @@ def _run_command(name: str, size: Scale):
             processes: that share the members; by default one, or for large networks one a core.
             config: everything else.
         """
-        if config.reward == "frozen" and frozen is None:
+        if config.reward == "frozen" and not frozen:
             source = find(experiment).reward_from or "maze-imitation"
             raise ValueError(
                 f"{experiment} is paid by the reward of another run: first `offairl run "

@@ -28,6 +28,7 @@ class Experiment:
 
 
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
+MARSH, WEST = "offairl/PointMarsh-v0", "offairl/PointMarshWest-v0"
 SEEDS: Mapping[Scale, tuple[int, ...]] = {"demo": tuple(range(5)), "full": tuple(range(10))}
 
 # What the maze needs and the paper does not state. Warm-up actions are held for ten steps on
@@ -193,6 +194,26 @@ def _ant() -> Mapping[Scale, Config]:
     return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
 
 
+def _reward_variants() -> dict[str, dict[str, Any]]:
+    """Return two starts, from scratch and with a policy, with help to explore and alone.
+
+    Each on PointMazeRight and, `back`, on PointMazeLeft, paid by a reward that is to be given; and
+    on PointMazeRight, `true`, by the task's own.
+    """
+    begins = {
+        "scratch": {},
+        "scratch-alone": {"warmup_hold": 1.0},
+        "policy": {"carry": "policy"},
+        "policy-alone": {"carry": "policy", "warmup_steps": 100, "warmup_hold": 1.0},
+    }
+    tasks = {"": {}, "back-": {"env_id": LEFT}, "true-": _EXPERT}
+    return {
+        prefix + name: {**task, **begin}
+        for prefix, task in tasks.items()
+        for name, begin in begins.items()
+    }
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
@@ -319,6 +340,40 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _ant(),
         SEEDS,
         variants=_REWARDS,
+    ),
+    "maze-transfer-rewards": Experiment(
+        "What a reward is worth in the other maze: from scratch or a policy, with help or alone",
+        _both({"total_steps": 8_000}, {}, env_id=RIGHT, reward="frozen"),
+        SEEDS,
+        reward_from="maze-imitation",
+        variants=_reward_variants(),
+    ),
+    "marsh-expert": Experiment(
+        "SAC on the true reward of the marsh, which is best gone round: trains the experts",
+        _both(
+            {"total_steps": 16_000, "target_rate": 0.02, "eval_every": 2_000},
+            {},
+            env_id=MARSH,
+            **_EXPERT,
+        ),
+        SEEDS,
+    ),
+    "marsh-imitation": Experiment(
+        "Off-policy AIRL, Implementation 4, and DAC, from demonstrations of the marsh",
+        _both({}, {}, env_id=MARSH),
+        SEEDS,
+        variants={"implementation-4": {}, "dac": {"reward": "dac"}},
+    ),
+    "marsh-transfer": Experiment(
+        "On the marsh again, and from another start, paid by what was learned there, or truly",
+        _both({"total_steps": 8_000}, {}, env_id=MARSH, reward="frozen"),
+        SEEDS,
+        reward_from="marsh-imitation",
+        variants={
+            "again": {},
+            "west": {"env_id": WEST},
+            "true-west": {"env_id": WEST, **_EXPERT},
+        },
     ),
     "imitate": Experiment(
         "Off-policy AIRL on a task of your own: give --env-id and --dataset",

@@ -482,7 +482,14 @@ def _summary(states: list[str]) -> str:
 
 
 def _together(parts: list) -> Any:
-    """Return one population of several policies, or of several rewards."""
+    """Return one population of several policies, or of several rewards.
+
+    Raises:
+        ValueError: they are not of one task and architecture.
+    """
+    kinds = {replace(part, params=None, normaliser=None) for part in parts}
+    if len(kinds) > 1:
+        raise ValueError(f"members of one population must be of one kind, not {kinds}")
     pairs = zip(*(part.normaliser for part in parts), strict=True)
     params = torch.cat([part.params for part in parts])
     return replace(parts[0], params=params, normaliser=Normaliser(*map(torch.cat, pairs)))
@@ -574,18 +581,20 @@ def inherit(
     config: Config,
     seeds: Sequence[int],
     *,
-    frozen: Path | None = None,
-    carried: Path | None = None,
-    guide: Path | None = None,
+    frozen: Sequence[Path] = (),
+    carried: Sequence[Path] = (),
+    guide: Sequence[Path] = (),
 ) -> dict[str, Reward | Policy]:
     """Load what a configuration needs of other runs, for `create`.
+
+    The members of several files come one after the other, as one population.
 
     Args:
         config: that of the new run.
         seeds: of its members. Where guides are fewer, they take turns.
-        frozen: a file of rewards.
-        carried: a file of policies.
-        guide: a file of policies.
+        frozen: files of rewards.
+        carried: files of policies.
+        guide: files of policies.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -593,12 +602,12 @@ def inherit(
     """
     files, given = {"reward": frozen, "policy": carried, "guide": guide}, {}
     for name, kind in _heritable(config).items():
-        if files[name] is None:
+        if not files[name]:
             raise ValueError(
                 f"a {name} of another run is needed: give --{INHERITED[name]} "
                 f"RUN/{'reward' if kind is Reward else 'policy'}.safetensors"
             )
-        given[name] = kind.load(files[name])
+        given[name] = _together([kind.load(file) for file in files[name]])
     if "guide" in given:
         guides = given["guide"]
         given["guide"] = guides.member(*(i % len(guides) for i in range(len(seeds))))

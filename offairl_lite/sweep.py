@@ -103,9 +103,9 @@ def subcommand(
         dataset: str | None = None,
         trajectories: int = 50,
         subsample: int = 1,
-        frozen: Path | None = None,
-        carried: Path | None = None,
-        guide: Path | None = None,
+        frozen: tuple[Path, ...] = (),
+        carried: tuple[Path, ...] = (),
+        guide: tuple[Path, ...] = (),
         device: Literal["cpu", "cuda"] = "cpu",
         compile: Literal["auto", "yes", "no"] = "auto",
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
@@ -127,7 +127,8 @@ def subcommand(
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
-            frozen: the reward.safetensors of an earlier run, where the reward is frozen.
+            frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
+                several, one population after the other.
             carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
             guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.

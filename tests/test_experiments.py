@@ -115,6 +115,34 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
         assert experiment.reward_from is None or demo.reward == "frozen"
 
 
+def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
+    experiment = find("maze-transfer-rewards")
+    transfer, expert = find("maze-transfer").configs["demo"], find("maze-expert").configs["demo"]
+    runs = {
+        name: replace(experiment.configs["demo"], **changes)
+        for name, changes in experiment.variants.items()
+    }
+    assert differences(transfer, runs["scratch"]) == {}
+    for begin in ("scratch", "scratch-alone", "policy", "policy-alone"):
+        assert set(differences(runs[begin], runs[f"back-{begin}"])) == {"env_id"}
+        true = runs[f"true-{begin}"]
+        assert set(differences(runs[begin], true)) == {"reward", "reward_scale"}
+        assert (true.reward, true.reward_scale) == ("environment", expert.reward_scale)
+        assert (true.carry == "policy") == begin.startswith("policy")
+        assert (true.warmup_hold > 1) != begin.endswith("alone")
+
+
+def test_the_marsh_is_learned_from_one_start_and_tried_from_another():
+    learned, tried = find("marsh-imitation"), find("marsh-transfer")
+    assert tried.reward_from == "marsh-imitation"
+    tasks = {changes.get("env_id") for changes in tried.variants.values()}
+    assert tasks == {None, "offairl/PointMarshWest-v0"}
+    for scale, config in learned.configs.items():
+        assert config.env_id == tried.configs[scale].env_id == "offairl/PointMarsh-v0"
+        imitation = find("maze-imitation").configs[scale]
+        assert set(differences(config, imitation)) == {"env_id"}
+
+
 def test_an_unknown_experiment_lists_those_there_are():
     with pytest.raises(ValueError, match="no experiment 'maze'; there are: experts, maze-expert"):
         find("maze")

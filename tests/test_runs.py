@@ -431,6 +431,18 @@ def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
         resume(folder)
 
 
+def test_rewards_of_several_files_are_one_population(plain, tmp_path):
+    config, reward = replace(plain, reward="frozen"), frozen_reward(3)
+    reward.member(0, 1).save(tmp_path / "two")
+    reward.member(2).save(tmp_path / "one")
+    given = runs.inherit(config, SEEDS, frozen=(tmp_path / "two", tmp_path / "one"))["reward"]
+    assert torch.equal(given.params, reward.params)
+    assert torch.equal(given.normaliser.std, reward.normaliser.std)
+    replace(reward, state_only=False).save(tmp_path / "other")
+    with pytest.raises(ValueError, match="members of one population must be of one kind"):
+        runs.inherit(config, SEEDS, frozen=(tmp_path / "two", tmp_path / "other"))
+
+
 # Damage.
 
 

@@ -5,7 +5,9 @@ know them:
 
 - `offairl/PointMazeLeft-v0`, `offairl/PointMazeRight-v0`: the shifting maze;
 - `offairl/CustomAnt-v0`, `offairl/DisabledAnt-v0`: the ant, and the ant with two weak legs;
-- `offairl/DisabledAntReleased-v0`: the latter with its actuators in the order of the released code.
+- `offairl/DisabledAntReleased-v0`: the latter with its actuators in the order of the released code;
+- `offairl/PointMarsh-v0`, `offairl/PointMarshWest-v0`: a marsh, costly to cross, in place of the
+  barrier, from two starts.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""MuJoCo models of the shifting maze and of the ants with four and with two good legs.
+"""MuJoCo models of the shifting maze, of the marsh, and of the ants with four and two good legs.
 
-The numbers are those of Fu, Luo and Levine, "Learning Robust Rewards with Adversarial Inverse
-Reinforcement Learning" (2018), as used by Arnob, "Off-Policy Adversarial Inverse Reinforcement
-Learning" (2020). Lengths are in metres, angles in degrees, time in seconds.
+The marsh is this package's own. The numbers of the others are those of Fu, Luo and Levine,
+"Learning Robust Rewards with Adversarial Inverse Reinforcement Learning" (2018), as used by Arnob,
+"Off-Policy Adversarial Inverse Reinforcement Learning" (2020). Lengths are in metres, angles in
+degrees, time in seconds.
 """
 
 from typing import Literal
@@ -18,6 +19,10 @@ START = np.array([LENGTH / 2, 0.0])
 """Where the particle starts, (2,)."""
 GOAL = np.array([LENGTH / 2, LENGTH - 0.1])
 """Centre of the target, (2,)."""
+MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])
+"""Lower and upper corner of the marsh, (2, 2)."""
+WEST = np.array([0.05, 0.0])
+"""Another start on the marsh, from which the straight way to the goal crosses it too, (2,)."""
 PARTICLE_RADIUS = 0.03
 WALL_RADIUS = 0.02
 
@@ -26,6 +31,7 @@ _TARGET = (0.10, 0.75, 0.25, 1.0)
 _BORDER = (0.62, 0.64, 0.70, 1.0)
 _BARRIER = (0.90, 0.45, 0.35, 1.0)
 _GROUND = (0.90, 0.90, 0.87, 1.0)
+_MARSH = (0.62, 0.72, 0.60, 1.0)
 _ANT = (0.85, 0.62, 0.38, 1.0)
 _WEAK_LEG = (0.75, 0.25, 0.22, 1.0)
 _WHITE = (1.0, 1.0, 1.0, 1.0)
@@ -41,32 +47,32 @@ _LEGS = {
 _BACK_LEGS = (3, 4)
 
 
-def walls(side: Side) -> np.ndarray:
+def walls(side: Side | None) -> np.ndarray:
     """Centre lines of the maze's walls: four borders, then the barrier.
 
     Args:
         side: the side on which the barrier is attached. `"Left"` leaves its gap on the right,
-            `"Right"` on the left.
+            `"Right"` on the left. None: there is no barrier.
 
     Returns:
-        Segments `(5, 2, 2)`: wall, end, coordinate (x, y). Every wall is `WALL_RADIUS` thick.
+        Segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y). Every wall is `WALL_RADIUS` thick.
 
     Raises:
-        ValueError: `side` is neither `"Left"` nor `"Right"`.
+        ValueError: `side` is neither `"Left"` nor `"Right"` nor None.
     """
-    if side not in ("Left", "Right"):
-        raise ValueError(f"side must be 'Left' or 'Right', not {side!r}")
+    if side not in ("Left", "Right", None):
+        raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
     low, high, middle = -0.1, LENGTH, LENGTH / 2
-    barrier = (low, 2 * LENGTH / 3) if side == "Left" else (LENGTH / 3, high)
-    return np.array(
-        [
-            [(low, low), (high, low)],
-            [(high, low), (high, high)],
-            [(high, high), (low, high)],
-            [(low, high), (low, low)],
-            [(barrier[0], middle), (barrier[1], middle)],
-        ]
-    )
+    lines = [
+        [(low, low), (high, low)],
+        [(high, low), (high, high)],
+        [(high, high), (low, high)],
+        [(low, high), (low, low)],
+    ]
+    if side is not None:
+        barrier = (low, 2 * LENGTH / 3) if side == "Left" else (LENGTH / 3, high)
+        lines.append([(barrier[0], middle), (barrier[1], middle)])
+    return np.array(lines)
 
 
 def point_maze(side: Side) -> mujoco.MjModel:
@@ -81,8 +87,35 @@ def point_maze(side: Side) -> mujoco.MjModel:
     Raises:
         ValueError: `side` is neither `"Left"` nor `"Right"`.
     """
+    if side is None:
+        raise ValueError("side must be 'Left' or 'Right', not None")
+    return _particle_in_box(f"PointMaze{side}", walls(side), START).compile()
+
+
+def point_marsh(start: np.ndarray) -> mujoco.MjModel:
+    """The maze's particle and target, and a marsh in place of the barrier: it stops nobody.
+
+    `qpos` is the particle's displacement from its start.
+
+    Args:
+        start: where the particle starts, (2,).
+    """
+    spec = _particle_in_box("PointMarsh", walls(None), start)
+    low, high = MARSH
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(*(low + high) / 2, -PARTICLE_RADIUS),
+        size=(*(high - low) / 2, 0.001),
+        contype=0,
+        conaffinity=0,
+        rgba=_MARSH,
+    )
+    return spec.compile()
+
+
+def _particle_in_box(name: str, lines: np.ndarray, start: np.ndarray) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
-    spec.modelname = f"PointMaze{side}"
+    spec.modelname = name
     spec.option.timestep = 0.01
     spec.option.gravity = (0, 0, 0)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -91,7 +124,7 @@ def point_maze(side: Side) -> mujoco.MjModel:
     geom.contype, geom.conaffinity = 2, 1
     spec.default.joint.damping[0] = 1
 
-    particle = spec.worldbody.add_body(name="particle", pos=(*START, 0))
+    particle = spec.worldbody.add_body(name="particle", pos=(*start, 0))
     particle.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=(PARTICLE_RADIUS, 0, 0),
@@ -111,10 +144,10 @@ def point_maze(side: Side) -> mujoco.MjModel:
         conaffinity=0,
         rgba=_TARGET,
     )
-    for index, (start, end) in enumerate(walls(side)):
+    for index, (end, other) in enumerate(lines):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=(*start, 0.01, *end, 0.01),
+            fromto=(*end, 0.01, *other, 0.01),
             size=(WALL_RADIUS, 0, 0),
             rgba=_BARRIER if index == 4 else _BORDER,
         )
@@ -128,7 +161,7 @@ def point_maze(side: Side) -> mujoco.MjModel:
         conaffinity=0,
         rgba=_GROUND,
     )
-    return spec.compile()
+    return spec
 
 
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:

@@ -1,8 +1,8 @@
 """The tasks: one definition each, over a leading axis of n simulations.
 
-The four AIRL tasks follow Arnob (2020), the other four the `v5` environments of Gymnasium with
-their default arguments. The order of operations, and of the random draws at a reset, is Gymnasium's
-to the last bit.
+The four AIRL tasks follow Arnob (2020), four others the `v5` environments of Gymnasium with their
+default arguments; the marsh, from two starts, is this package's own. The order of operations, and
+of the random draws at a reset, is Gymnasium's to the last bit.
 """
 
 from collections.abc import Callable
@@ -100,14 +100,37 @@ def _never(physics: Physics) -> np.ndarray:
     return np.zeros(len(physics.qpos), bool)
 
 
-def _maze_observation(physics: Physics) -> np.ndarray:
-    height = np.zeros((len(physics.qpos), 1))
-    return np.concatenate([models.START + physics.qpos, height], axis=1)
+def _position(start: np.ndarray) -> Callable[[Physics], np.ndarray]:
+    def observe(physics):
+        height = np.zeros((len(physics.qpos), 1))
+        return np.concatenate([start + physics.qpos, height], axis=1)
+
+    return observe
 
 
 def _maze_reward(before, actions, after, seconds):
     distance = np.linalg.norm(models.START + before.qpos - models.GOAL, axis=1)
     return -distance - 0.001 * _effort(actions)
+
+
+MARSH_COST = 2.0
+"""What a step that begins in the marsh costs, beside the distance."""
+
+
+def in_marsh(position: np.ndarray) -> np.ndarray:
+    """Whether positions `(..., 2 or more)`, in metres, are in the marsh, `(...)` bool."""
+    low, high = models.MARSH
+    position = position[..., :2]
+    return ((position > low) & (position < high)).all(-1)
+
+
+def _marsh_reward(start: np.ndarray):
+    def reward(before, actions, after, seconds):
+        position = start + before.qpos
+        distance = np.linalg.norm(position - models.GOAL, axis=1)
+        return -distance - 0.001 * _effort(actions) - MARSH_COST * in_marsh(position)
+
+    return reward
 
 
 def _custom_ant_observation(physics: Physics) -> np.ndarray:
@@ -178,17 +201,25 @@ def _gymnasium_model(file: str) -> mujoco.MjModel:
         mujoco.set_mju_user_warning(handler)
 
 
-def _point_maze(side: models.Side) -> Task:
+def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, reward) -> Task:
     return Task(
-        model=lambda: models.point_maze(side),
+        model=model,
         frame_skip=5,
         max_episode_steps=100,
         camera=Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False),
         noise=_maze_noise,
-        observe=_maze_observation,
-        reward=_maze_reward,
+        observe=_position(start),
+        reward=reward,
         terminated=_never,
     )
+
+
+def _point_maze(side: models.Side) -> Task:
+    return _point(lambda: models.point_maze(side), models.START, _maze_reward)
+
+
+def _point_marsh(start: np.ndarray) -> Task:
+    return _point(lambda: models.point_marsh(start), start, _marsh_reward(start))
 
 
 _ANT_CAMERA = Camera(lookat=(0.0, 0.0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
@@ -228,6 +259,8 @@ TASKS: dict[str, Task] = {
     "offairl/DisabledAnt-v0": _custom_ant(disabled=True, actuator_legs=(4, 1, 2, 3)),
     # As released: an actor carried over from CustomAnt drives the wrong joints.
     "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
+    "offairl/PointMarsh-v0": _point_marsh(models.START),
+    "offairl/PointMarshWest-v0": _point_marsh(models.WEST),
     "HalfCheetah-v5": Task(
         model=lambda: _gymnasium_model("half_cheetah.xml"),
         frame_skip=5,
@@ -252,4 +285,5 @@ TASKS: dict[str, Task] = {
         contact_forces=True,
     ),
 }
-"""The eight tasks of the paper, and DisabledAnt with the actuator order of the released code."""
+"""The eight tasks of the paper, DisabledAnt with the actuator order of the released code, and the
+marsh from two starts."""

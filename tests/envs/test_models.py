@@ -67,6 +67,20 @@ def test_maze_touches_only_particle_and_walls():
     np.testing.assert_allclose(model.geom_size[touched, 0], 0.02)
 
 
+def test_the_marsh_is_the_maze_without_barrier_and_stops_nobody():
+    model, maze = models.point_marsh(models.WEST), models.point_maze("Left")
+    np.testing.assert_allclose(model.body("particle").pos, [0.05, 0, 0])
+    np.testing.assert_array_equal(model.body("target").pos, maze.body("target").pos)
+    np.testing.assert_array_equal(model.body_mass, maze.body_mass)
+    np.testing.assert_array_equal(models.walls(None), models.walls("Left")[:4])
+    box = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
+    assert (model.geom_contype[box] == 0).all()
+    assert (model.geom_conaffinity[box] == 0).all()
+    corners = model.geom_pos[box, :2] + np.array([[-1], [1]]) * model.geom_size[box, :2]
+    np.testing.assert_allclose(corners, models.MARSH)
+    assert (model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 4
+
+
 @pytest.mark.parametrize(("side", "gap"), [("Left", (0.4, 0.6)), ("Right", (-0.1, 0.2))])
 def test_walls_are_where_walls_says(side, gap):
     model = models.point_maze(side)
@@ -90,6 +104,8 @@ def test_walls_are_where_walls_says(side, gap):
 
 
 def test_unknown_side_and_actuator_order_are_errors():
+    with pytest.raises(ValueError, match="'Left' or 'Right', not None"):
+        models.point_maze(None)
     with pytest.raises(ValueError, match="'Left' or 'Right'"):
         models.point_maze("Up")
     with pytest.raises(ValueError, match="order the legs"):

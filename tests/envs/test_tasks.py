@@ -7,6 +7,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from offairl_lite.envs import TASKS, BatchedEnv, models
+from offairl_lite.envs.tasks import in_marsh
 
 STEPS = 400
 
@@ -123,11 +124,9 @@ def test_barrier_stops_a_straight_push_on_both_sides():
         assert 0.24 < observations[0, 1] < 0.27
 
 
-def scripted_return(side):
-    env = disabled_autoreset(f"offairl/PointMaze{side}-v0", [0])
+def scripted_return(task, *path):
+    env, path = disabled_autoreset(task, [0]), [*map(np.array, path), models.GOAL]
     observations, _ = env.reset()
-    gap = 0.5 if side == "Left" else 0.1
-    path = [np.array([gap, 0.22]), np.array([gap, 0.37]), models.GOAL]
     total, previous = 0.0, observations[0, :2]
     for _ in range(100):
         position = observations[0, :2]
@@ -142,9 +141,40 @@ def scripted_return(side):
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_a_path_through_the_gap_reaches_the_goal(side):
-    total, distance = scripted_return(side)
+    gap = 0.5 if side == "Left" else 0.1
+    task = f"offairl/PointMaze{side}-v0"
+    total, distance = scripted_return(task, (gap, 0.22), (gap, 0.37))
     assert distance < 0.02
     assert -5.5 < total < -4.3
+
+
+@pytest.mark.parametrize("task", ["offairl/PointMarsh-v0", "offairl/PointMarshWest-v0"])
+def test_the_marsh_is_best_gone_round(task):
+    across, straight = scripted_return(task)
+    around, detour = scripted_return(task, (0.45, 0.06), (0.45, 0.3))
+    assert straight < 0.02
+    assert detour < 0.02
+    assert across < around - 4
+
+
+def test_marsh_reward_by_hand():
+    env = disabled_autoreset("offairl/PointMarshWest-v0", [0, 1])
+    before, _ = env.reset()
+    np.testing.assert_array_equal(before, np.tile([0.05, 0, 0], (2, 1)))
+    rng, wet = np.random.default_rng(1), []
+    for _ in range(60):
+        actions = rng.uniform(-0.6, 1, (2, 2))
+        after, rewards, terminated, _, _ = env.step(actions)
+        x, y, _ = before.T
+        wet.append((x < 0.4) & (y > 0.1) & (y < 0.3))
+        distance = np.sqrt((x - 0.3) ** 2 + (y - 0.5) ** 2)
+        expected = -distance - 0.001 * (actions**2).sum(1) - 2 * wet[-1]
+        np.testing.assert_allclose(rewards, expected, rtol=1e-12)
+        assert not terminated.any()
+        before = after
+    assert 0 < np.mean(wet) < 1
+    places = np.array([[[0.3, 0.2], [0.41, 0.2]], [[0.3, 0.31], [-0.05, 0.11]]])
+    np.testing.assert_array_equal(in_marsh(places), [[True, False], [False, True]])
 
 
 def test_released_ant_drives_other_joints_with_the_same_action():
@@ -179,6 +209,8 @@ def test_observation_and_action_sizes_and_limits():
         "offairl/CustomAnt-v0": (111, 8, 1000),
         "offairl/DisabledAnt-v0": (111, 8, 1000),
         "offairl/DisabledAntReleased-v0": (111, 8, 1000),
+        "offairl/PointMarsh-v0": (3, 2, 100),
+        "offairl/PointMarshWest-v0": (3, 2, 100),
         "HalfCheetah-v5": (17, 6, 1000),
         "Hopper-v5": (11, 3, 1000),
         "Walker2d-v5": (17, 6, 1000),
