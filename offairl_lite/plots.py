@@ -78,7 +78,7 @@ def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str 
 
 
 def maze(ax: Axes, side: str | None) -> None:
-    """Draw the walls, the start and the goal of the maze of that side; None: of a box without a barrier."""
+    """Draw the walls, the start and the goal of the maze of that side; None: without a barrier."""
     lines = LineCollection(walls(side), colors="black", capstyle="round", zorder=2)
     ax.add_collection(lines)
     ax.set(xlim=(-0.14, LENGTH + 0.04), ylim=(-0.14, LENGTH + 0.04), aspect="equal")
