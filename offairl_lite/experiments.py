@@ -102,18 +102,36 @@ _SIGNS = {
 _DAC = {"td3": {"generator": "td3"}, "sac": {"generator": "sac"}}
 
 
-def _hopper(**common) -> Mapping[Scale, Config]:
-    full = replace(CORRECTED, env_id="Hopper-v5", update_every=1_000)
+def _locomotion(env_id: str, **common) -> Mapping[Scale, Config]:
+    # Members end their episodes at different times, so they train every 1,000 steps.
+    full = replace(CORRECTED, env_id=env_id, update_every=1_000)
     full = replace(full, **common)
     return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
+
+
+# Off-policy AIRL and DAC on the paper's tasks, with an absorbing state where a fall ends them.
+_SIDE_BY_SIDE = {
+    f"{env_id.split('/')[-1].split('-')[0]}-{name}": {
+        "env_id": env_id,
+        "reward": reward,
+        "absorbing": absorbing,
+    }
+    for env_id, absorbing in (
+        ("HalfCheetah-v5", "none"),
+        ("Hopper-v5", "bootstrap"),
+        ("Walker2d-v5", "bootstrap"),
+        ("Ant-v5", "bootstrap"),
+        ("offairl/CustomAnt-v0", "none"),
+    )
+    for name, reward in (("airl", "implementation-4"), ("dac", "dac"))
+}
 
 
 # Paid by minus a distance of at most 0.6, SAC would park against the wall behind the goal, 0.045
 # too far: the entropy is worth more. Magnified, the distance is.
 _EXPERT = {"reward": "environment", "reward_scale": 100.0}
 
-# The paper's three candidates for an expert, on its eight tasks. Members of a locomotion task end
-# their episodes at different times, so they train every 1,000 steps.
+# The paper's three candidates for an expert, on its eight tasks.
 _LEARNERS = {
     "td3": {"generator": "td3"},
     "sac-fixed": {"temperature": 0.2},
@@ -187,11 +205,6 @@ _PENALTIES = {
     "spectral": {"gradient_penalty": 0.0, "spectral_norm": True},
     "bottleneck": {"gradient_penalty": 0.0, "bottleneck": 0.5, "bottleneck_rate": 1e-3},
 }
-
-
-def _ant() -> Mapping[Scale, Config]:
-    full = replace(CORRECTED, env_id="offairl/CustomAnt-v0", update_every=1_000)
-    return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
 
 
 def _reward_variants() -> dict[str, dict[str, Any]]:
@@ -283,13 +296,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "hopper-gail": Experiment(
         "GAIL with PPO on Hopper, where episodes end when it falls: give --dataset",
-        _hopper(**_ON_POLICY, reward="gail-survival"),
+        _locomotion("Hopper-v5", **_ON_POLICY, reward="gail-survival"),
         SEEDS,
         variants=_SIGNS,
     ),
     "hopper-dac": Experiment(
         "DAC with TD3 and with SAC on Hopper, with absorbing states: give --dataset",
-        _hopper(reward="dac", absorbing="bootstrap"),
+        _locomotion("Hopper-v5", reward="dac", absorbing="bootstrap"),
         SEEDS,
         variants=_DAC,
     ),
@@ -297,7 +310,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
         {
             "demo": replace(
-                _hopper(reward="dac")["demo"],
+                _locomotion("Hopper-v5", reward="dac")["demo"],
                 total_steps=12_000,
                 warmup_steps=2_000,
                 update_every=250,
@@ -305,10 +318,16 @@ EXPERIMENTS: Mapping[str, Experiment] = {
                 temperature=None,
                 target_rate=0.01,
             ),
-            "full": _hopper(reward="dac")["full"],
+            "full": _locomotion("Hopper-v5", reward="dac")["full"],
         },
         SEEDS,
         variants=_ABSORBING,
+    ),
+    "locomotion": Experiment(
+        "Off-policy AIRL, Implementation 4, beside DAC on five tasks, α learned: 10 runs",
+        _locomotion("HalfCheetah-v5", temperature=None),
+        SEEDS,
+        variants=_SIDE_BY_SIDE,
     ),
     "maze-retraining": Experiment(
         "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",
@@ -337,7 +356,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "ant-rewards": Experiment(
         "Implementations 1 to 4 and DAC's reward on CustomAnt, from its demonstrations",
-        _ant(),
+        _locomotion("offairl/CustomAnt-v0"),
         SEEDS,
         variants=_REWARDS,
     ),

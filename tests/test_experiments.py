@@ -66,6 +66,21 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
     }
 
 
+def test_locomotion_sets_dac_beside_airl_with_nothing_else_between_them():
+    experiment = find("locomotion")
+    for scale, config in experiment.configs.items():
+        tasks = set()
+        for name, changes in experiment.variants.items():
+            run = replace(config, **changes)
+            task, _, method = name.partition("-")
+            other = replace(config, **experiment.variants[f"{task}-dac"])
+            assert set(differences(run, other)) == ({"reward"} if method == "airl" else set())
+            assert (run.absorbing == "bootstrap") == (task in ("Hopper", "Walker2d", "Ant"))
+            tasks.add(run.env_id)
+        assert len(tasks) == 5
+        assert (config.temperature, config.update_every) == (None, 1_000), scale
+
+
 def test_entropy_is_counted_once_in_two_ways():
     experiment = find("maze-rewards")
     for scale, number in itertools.product(("demo", "full"), (1, 2)):
