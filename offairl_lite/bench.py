@@ -53,7 +53,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import flop_registry
 from tqdm.auto import tqdm
 
-from offairl_lite.config import CORRECTED
+from offairl_lite import envs
+from offairl_lite.config import CORRECTED, Config
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS, BatchedEnv
 from offairl_lite.execution import Execution, compiler
@@ -62,7 +63,7 @@ from offairl_lite.replay import Batch
 from offairl_lite.runs import PACKAGES, processor
 from offairl_lite.streams import Streams
 
-TASK, OBS_DIM, ACTION_DIM = "HalfCheetah-v5", 17, 6
+TASK = "HalfCheetah-v5"
 MEMBERS = 10
 """Members of an environment that is timed alone."""
 
@@ -197,17 +198,20 @@ def race(
     return made
 
 
+def random_demonstrations(env_id: str, rows: int = 1000) -> Demonstrations:
+    """Return one trajectory of numbers with the sizes of a task's, and nothing else of it."""
+    env, streams = envs.make(env_id, 1, 0), Streams([0])
+    obs_dim, action_dim = env.single_observation_space.shape[0], env.single_action_space.shape[0]
+    parts = (streams.normal(rows, width)[0] for width in (obs_dim, action_dim, obs_dim))
+    zero = torch.zeros(rows)
+    return Demonstrations(env_id, Batch(*parts, reward=zero, terminated=zero), (rows,))
+
+
 def make_trainer(options: Options, learner: Learner, population: int, every: int) -> Trainer:
     """Return a trainer on random demonstrations, which trains after every `every` steps.
 
     The first of them are random.
     """
-    rows, streams = 1000, Streams([0])
-    demonstrations = Batch(
-        *(streams.normal(rows, width)[0] for width in (OBS_DIM, ACTION_DIM, OBS_DIM)),
-        reward=torch.zeros(rows),
-        terminated=torch.zeros(rows),
-    )
     discriminator = DEMO.hidden if learner == DEMO else CORRECTED.reward_hidden
     config = replace(
         CORRECTED,
@@ -226,7 +230,7 @@ def make_trainer(options: Options, learner: Learner, population: int, every: int
     return Trainer(
         config,
         range(population),
-        Demonstrations(TASK, demonstrations, (rows,)),
+        random_demonstrations(TASK),
         execution=Execution(options.device, options.threads, options.compile and learner != DEMO),
     )
 
@@ -236,6 +240,35 @@ def next_block(trainer: Trainer) -> None:
     before = trainer.trained
     while trainer.trained == before:
         trainer.advance()
+
+
+def estimate(config: Config, members: int) -> float:
+    """Return about how many seconds a run takes here, by one process on one core, not compiled.
+
+    A block of training and an evaluation are timed, with random demonstrations where a reward is
+    learned; a policy that keeps on its legs for longer takes longer to evaluate.
+    """
+    every = config.update_every if config.generator == "ppo" else 20
+    short = replace(
+        config,
+        reward="environment" if config.reward == "frozen" else config.reward,
+        carry="nothing",
+        start_steps=0,
+        warmup_steps=every,
+        update_every=every,
+        total_steps=10**9,
+        eval_every=10**9,
+        replay_size=max(10_000, every),
+    )
+    trainer = Trainer(short, range(members), random_demonstrations(config.env_id))
+    next_block(trainer)
+    starts = time.perf_counter()
+    next_block(trainer)
+    trained = time.perf_counter()
+    trainer.evaluate()
+    evaluated = time.perf_counter()
+    per_step = (trained - starts) / every + (evaluated - trained) / config.eval_every
+    return config.total_steps * per_step
 
 
 def our_updates(options: Options, learner: Learner, population: int) -> Contestant:

@@ -4,6 +4,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from json import dumps
 from pathlib import Path
@@ -14,7 +15,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
 from offairl_lite import demonstrations, jobs, logs, records, runs, scale, sweep, video
-from offairl_lite.bench import Options, measure, table
+from offairl_lite.bench import Options, estimate, measure, table
 from offairl_lite.config import Config
 from offairl_lite.execution import Execution, compiles, is_large
 from offairl_lite.experiments import EXPERIMENTS, find
@@ -22,14 +23,24 @@ from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
 
 
-def list_experiments() -> None:
-    """Show the experiments, and the tasks for which experts are shipped."""
+def list_experiments(*, times: bool = False) -> None:
+    """Show the experiments, and the tasks for which experts are shipped.
+
+    Args:
+        times: try each for a moment, and say how long a run of it takes about, here and on one
+            core, not compiled. Of those that are several runs it is the first.
+    """
     print("Experiments (offairl run NAME):")
     for name, experiment in EXPERIMENTS.items():
         print(f"  {name:16} {experiment.about}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
-            print(f"  {'':16}   {size}: {config.total_steps:,} steps, {seeds} seeds")
+            first = next(iter(experiment.variants.values()), {})
+            about = f", {_words(estimate(replace(config, **first), seeds))}" if times else ""
+            print(
+                f"  {'':16}   {size}: {config.env_id}, {config.total_steps:,} steps, "
+                f"{seeds} seeds{about}"
+            )
         if experiment.variants:
             names = textwrap.wrap(" ".join(experiment.variants), 78, break_on_hyphens=False)
             print(
@@ -40,6 +51,14 @@ def list_experiments() -> None:
     for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
         policy = Policy.load(path)
         print(f"  {policy.env_id:26} {len(policy)} policies")
+
+
+def _words(seconds: float) -> str:
+    """Return a duration, roughly, in words."""
+    for unit, size in (("days", 86_400), ("hours", 3_600), ("minutes", 60)):
+        if seconds >= 2 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} seconds"
 
 
 def demos(env_id: Positional[str], *, trajectories: int = 50, dataset: str | None = None) -> None:

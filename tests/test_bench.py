@@ -4,7 +4,8 @@ import json
 import os
 import subprocess
 import sys
-from itertools import pairwise
+from dataclasses import replace
+from itertools import count, pairwise
 
 import pytest
 import torch
@@ -220,3 +221,22 @@ def test_the_cores_are_given_back():
         assert len(os.sched_getaffinity(0)) == 1
         assert os.sched_getaffinity(0) < before or len(before) == 1
     assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"reward": "implementation-2"},
+        {"reward": "frozen", "carry": "primitives", "primitives": 2, "start_steps": 20},
+        {"generator": "ppo", "update_every": 40, "reward": "gail-survival"},
+        {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
+    ],
+)
+def test_a_run_is_estimated_from_a_block_and_an_evaluation(tiny, monkeypatch, changes):
+    small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
+    config = replace(tiny, **small, **changes)
+    # A clock that goes on by a second whenever it is looked at.
+    monkeypatch.setattr(bench.time, "perf_counter", count().__next__)
+    every = changes.get("update_every", 20)
+    seconds = config.total_steps / every + config.total_steps / config.eval_every
+    assert bench.estimate(config, 2) == pytest.approx(seconds)

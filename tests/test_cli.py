@@ -51,9 +51,27 @@ def test_list_shows_experiments_and_experts(capsys, shipped_experts):
     for name, experiment in EXPERIMENTS.items():
         assert f"  {name} " in out
         assert experiment.about in out
-    assert "demo: 6,000 steps, 5 seeds" in out
-    assert "full: 1,000,000 steps, 10 seeds" in out
+    assert "demo: offairl/PointMazeLeft-v0, 6,000 steps, 5 seeds\n" in out
+    assert "full: Hopper-v5, 1,000,000 steps, 10 seeds\n" in out
     assert "offairl/PointMazeLeft-v0   2 policies" in out
+
+
+def test_list_says_how_long_a_run_takes_if_asked(capsys, monkeypatch):
+    asked = []
+
+    def estimate(config, members):
+        asked.append(config)
+        return members * config.total_steps / 100
+
+    monkeypatch.setattr(cli, "estimate", estimate)
+    offairl("list --times")
+    out = capsys.readouterr().out
+    assert "6,000 steps, 5 seeds, about 5 minutes" in out
+    assert "1,000,000 steps, 10 seeds, about 28 hours" in out
+    assert len(asked) == 2 * len(EXPERIMENTS)
+    assert asked[0].generator == "td3"  # the first of its variants
+    words = [cli._words(seconds) for seconds in (90, 7_000, 10**6)]
+    assert words == ["about 90 seconds", "about 117 minutes", "about 12 days"]
 
 
 def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
