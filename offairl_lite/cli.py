@@ -27,8 +27,8 @@ def list_experiments(*, times: bool = False) -> None:
     """Show the experiments, and the tasks for which experts are shipped.
 
     Args:
-        times: try each for a moment, and say how long a run of it takes about, here and on one
-            core, not compiled. Of those that are several runs it is the first.
+        times: try each for a moment, minutes in all, and say how long a run of it takes about, here
+            and on one core, not compiled. Of those that are several runs it is the first.
     """
     print("Experiments (offairl run NAME):")
     for name, experiment in EXPERIMENTS.items():
