@@ -11,7 +11,7 @@ Dey, "Maximum Entropy Inverse Reinforcement Learning" (2008).
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -591,6 +591,8 @@ def maze(
         raise ValueError(f"the maze needs at least 3 cells a side, not {cells}")
     if not 0 <= slip <= 1:
         raise ValueError(f"slip is a probability, not {slip}")
+    if side not in get_args(Side):
+        raise ValueError(f"side must be 'Left' or 'Right', not {side!r}")
     segments = walls(side)
     low, high = segments[:4].min(), segments[:4].max()
     centres = low + (high - low) * (np.arange(cells) + 0.5) / cells

@@ -615,8 +615,9 @@ def test_mazes_that_cannot_be_are_refused():
         maze(2, "Left")
     with pytest.raises(ValueError, match=r"slip is a probability, not 1\.5"):
         maze(10, "Left", slip=1.5)
-    with pytest.raises(ValueError, match="side must be 'Left' or 'Right', not 'Up'"):
-        maze(10, "Up")
+    for side in ("Up", None):
+        with pytest.raises(ValueError, match=f"side must be 'Left' or 'Right', not {side!r}"):
+            maze(10, side)
 
 
 # The best discriminator
