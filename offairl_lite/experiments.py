@@ -184,16 +184,18 @@ _ABSORBING = {
 
 
 # The paper's four rewards, and DAC's. The first two contain -log π, and SAC adds α of it: to count
-# it once, either SAC has as good as no temperature (cold), or it has all of it (soft).
+# it once, either SAC has as good as no temperature (cold), or it has all of it (soft). Or SAC has
+# what it learns to need, and the reward nothing (learned).
 _REWARDS = {
     **{f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)},
     "dac": {"reward": "dac"},
 }
 _COLD = {"temperature": 1e-3, "target_entropy": None}
 _SOFT = {"temperature": 1.0, "target_entropy": None, "log_prob_in_reward": False}
+_LEARNED = {"log_prob_in_reward": False}
 _ENTROPY_ONCE = {
     f"implementation-{n}-{name}": {"reward": f"implementation-{n}", **changes}
-    for name, changes in (("cold", _COLD), ("soft", _SOFT))
+    for name, changes in (("cold", _COLD), ("soft", _SOFT), ("learned", _LEARNED))
     for n in (1, 2)
 }
 # What keeps the discriminator from being too steep or too sure.

@@ -84,9 +84,11 @@ def test_locomotion_sets_dac_beside_airl_with_nothing_else_between_them():
 def test_entropy_is_counted_once_in_two_ways():
     experiment = find("maze-rewards")
     for scale, number in itertools.product(("demo", "full"), (1, 2)):
-        twice, cold, soft = (
-            replace(experiment.configs[scale], **experiment.variants[name])
-            for name in (f"implementation-{number}{form}" for form in ("", "-cold", "-soft"))
+        twice, cold, soft, learned = (
+            replace(
+                experiment.configs[scale], **experiment.variants[f"implementation-{number}{form}"]
+            )
+            for form in ("", "-cold", "-soft", "-learned")
         )
         assert cold.log_prob_in_reward
         assert cold.temperature < 0.01
@@ -94,6 +96,8 @@ def test_entropy_is_counted_once_in_two_ways():
         assert not soft.log_prob_in_reward
         assert soft.temperature == 1
         assert set(differences(cold, soft)) == {"temperature", "log_prob_in_reward"}
+        assert set(differences(twice, learned)) == {"log_prob_in_reward"}
+        assert learned.temperature is None
 
 
 def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else():
