@@ -23,7 +23,7 @@ from torch.nn.functional import normalize
 from offairl_lite.streams import Streams
 
 TINY = 1e-12
-"""Lengths below it are taken for it where something is divided by them."""
+"""What keeps roots and quotients of lengths finite at 0."""
 
 
 class Normaliser(NamedTuple):

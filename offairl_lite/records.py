@@ -36,6 +36,8 @@ METRICS = (
     "q",
     "temperature",
     "entropy",
+    "excess",
+    "multiplier",
 )
 """Diagnostics of the last update before an evaluation. New ones are added at the end, so that
 curves of before can be read."""
