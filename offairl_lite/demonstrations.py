@@ -3,8 +3,10 @@
 import hashlib
 import json
 import logging
+import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +17,7 @@ import minari
 import numpy as np
 import torch
 from minari.data_collector.episode_buffer import EpisodeBuffer
+from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite.evaluate import Episodes, rollout
@@ -151,6 +154,8 @@ def load(
 
     Raises:
         FileNotFoundError: there is no such data set, and no expert to make it.
+        OSError: Minari's local storage is no folder, or the shipped experts' episodes must be made
+            and cannot be kept there.
         ValueError: the data set does not fit the task; says what was expected and what was found.
             Or `trajectories` or `subsample` is below 1.
     """
@@ -158,20 +163,34 @@ def load(
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     if subsample < 1:
         raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
+    with _storage():
+        known = minari.list_local_datasets()
     if dataset_id is None:
         digest = _digest(expert_file(env_id).read_bytes())[:8]
         dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{trajectories}-v0"
-        if dataset_id not in minari.list_local_datasets():
+        if dataset_id not in known:
             generate(env_id, trajectories, dataset_id)
-    elif dataset_id not in minari.list_local_datasets():
-        known = ", ".join(minari.list_local_datasets()) or "no data set at all"
+    elif dataset_id not in known:
         raise FileNotFoundError(
-            f"Minari has no local data set {dataset_id!r}; here are: {known}. "
+            f"Minari has no local data set {dataset_id!r}; here are: "
+            f"{', '.join(known) or 'no data set at all'}. "
             "Download one with `minari download`, or write one with "
             "minari.create_dataset_from_buffers"
         )
     data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
     return data if subsample == 1 else data.subsample(every=subsample)
+
+
+@contextmanager
+def _storage() -> Iterator[None]:
+    """What goes wrong with Minari's local storage, with the way out."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(
+            f"demonstrations are kept in Minari's local storage, which cannot be used: {error}; "
+            "set MINARI_DATASETS_PATH to a folder that can be written to"
+        ) from error
 
 
 def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
@@ -182,7 +201,10 @@ def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
 
     Raises:
         FileNotFoundError: no expert is shipped for the task.
+        OSError: Minari's local storage cannot be written to.
     """
+    with _storage(), tempfile.TemporaryFile(dir=get_dataset_path()):
+        pass  # now, and not after minutes of work
     policy = expert(env_id)
     first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []

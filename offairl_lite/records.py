@@ -89,8 +89,8 @@ class Plan:
         path = folder / "config.json"
         if not path.is_file():
             raise FileNotFoundError(
-                f"there is no run in {folder}: it has no config.json; `offairl run NAME --out "
-                f"{folder}` starts one"
+                f"there is no run in {folder.absolute()}: it has no config.json; `offairl run NAME "
+                f"--out {folder}` starts one"
             )
         fields = read_json(path)
         require_format(path, fields.pop("format", 1))

@@ -3,6 +3,7 @@
 Below them, what several modules' tests start from: tiny runs and random demonstrations.
 """
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +40,38 @@ def pytest_collection_modifyitems(items):
             2 * ("book" in getattr(item, "fixturenames", ())) or item.path.suffix == ".ipynb"
         )
     )
+
+
+CALIBRATIONS = pytest.StashKey[dict[str, float]]()
+"""Seconds the calibration took around each chapter, by the chapter's name."""
+
+
+def calibrate():
+    """Return the seconds that a fixed piece of work takes; it is like that of the chapters, many
+    small products and their gradients, but none of the package's."""
+    x, weights = torch.randn((2, 5, 64, 64), generator=torch.Generator().manual_seed(0))
+    weights.requires_grad_()
+    start = time.perf_counter()
+    for _ in range(2000):
+        torch.autograd.grad((x @ weights).tanh().mean(), weights)
+    return time.perf_counter() - start
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Measure how fast the machine is before and after a chapter, for the chapter's budget."""
+    if item.path.suffix != ".ipynb":
+        return (yield)
+    before = calibrate()
+    result = yield
+    calibrations = item.config.stash.setdefault(CALIBRATIONS, {})
+    calibrations[item.path.stem] = (before + calibrate()) / 2
+    return result
+
+
+@pytest.fixture(scope="session")
+def calibrations(request):
+    return request.config.stash.get(CALIBRATIONS, {})
 
 
 @pytest.fixture

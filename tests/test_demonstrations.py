@@ -115,6 +115,27 @@ def test_an_unknown_data_set_is_refused_and_those_there_are_listed(write_dataset
         load("Pendulum-v1", 1, "my/other-v0")
 
 
+def test_storage_that_is_no_folder_is_refused_with_the_way_out(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "file"))
+    with pytest.raises(OSError, match=r"cannot be used: .*file.*; set MINARI_DATASETS_PATH"):
+        load(MAZE)
+
+
+def test_read_only_storage_can_be_read_and_is_refused_before_any_work(
+    minari_folder, shipped_experts, monkeypatch
+):
+    def refuse(dir):
+        raise PermissionError(13, "Permission denied", str(dir))
+
+    load(MAZE, trajectories=2)
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # the superuser may write anywhere
+    load(MAZE, trajectories=2)
+    monkeypatch.setattr("offairl_lite.demonstrations.rollout", None)
+    with pytest.raises(OSError, match=r"Permission denied.*; set MINARI_DATASETS_PATH"):
+        load(MAZE, trajectories=3)
+
+
 def test_a_task_without_experts_lists_those_that_have_some(minari_folder, shipped_experts):
     with pytest.raises(FileNotFoundError, match=r"Pendulum-v1 \(there are: PointMazeLeft\)"):
         load("Pendulum-v1")

@@ -49,10 +49,18 @@ def assign_section_numbers(
     return rewritten
 
 
+def need_an_address(app, config):
+    """Leave out the buttons for Colab and Binder while there is none."""
+    if not config.html_theme_options.get("repository_url"):
+        config.html_theme_options.pop("launch_buttons", None)
+
+
 def setup(app):
     """Register with Sphinx."""
     TocTreeCollectorWithStyles.assign_section_numbers = (
         assign_section_numbers
     )
+    # Before the theme reads its options, which it does at this event.
+    app.connect("config-inited", need_an_address, priority=100)
     app.connect("build-finished", make_offline)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

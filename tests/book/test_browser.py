@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -104,6 +106,15 @@ def test_checks_detect(browser, tmp_path):
         f"""<!doctype html><script src="{mathjax}"></script><p class=math>\\(x^2\\)</p>"""
     )
     assert problems(browser, page) == []
+
+
+@pytest.mark.skipif(MAC.exists(), reason="Chrome is at its usual place")
+def test_without_a_browser_the_checks_are_skipped_and_say_what_to_install():
+    command = [sys.executable, "-m", "pytest", "-rs", "-k", "detect", __file__]
+    done = subprocess.run(command, env={"PATH": ""}, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    assert "1 skipped" in done.stdout
+    assert "`make system` installs one" in done.stdout
 
 
 @pytest.mark.parametrize("page", PAGES)

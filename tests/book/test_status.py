@@ -1,0 +1,67 @@
+"""How long chapters take, and the page that says so."""
+
+import json
+import re
+import runpy
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from bs4 import BeautifulSoup
+from sphinx_external_toc.parsing import parse_toc_yaml
+
+ROOT = Path(__file__).parents[2]
+EXTENSION = runpy.run_path(str(ROOT / "book/_ext/status.py"))
+BUDGET = json.loads((ROOT / "book/minutes.json").read_text())
+MINUTES = BUDGET["chapters"]
+CHAPTERS = [Path(page).name for page in parse_toc_yaml(ROOT / "_toc.yml") if page[5:6].isdigit()]
+WORDS = {"a": 1, "one": 1, "two": 2, "three": 3, "four": 4}
+
+
+def seconds(path):
+    """How long an executed chapter took."""
+    start, end = EXTENSION["executed"](path)
+    return (end - start).total_seconds()
+
+
+def test_every_chapter_has_a_budget_of_four_minutes_at_most():
+    assert list(MINUTES) == CHAPTERS
+    assert all(0 < minutes <= 4 for minutes in MINUTES.values())
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_the_minutes_that_are_promised_are_the_budget(chapter):
+    cells = json.loads((ROOT / f"book/{chapter}.ipynb").read_text())["cells"]
+    promised = re.search(r"\*\*It takes\*\*[^.:]*?(\w+) minute", "".join(cells[0]["source"]))
+    assert promised, f"{chapter}: say in its first cell how long it takes: **It takes** about …"
+    assert WORDS[promised[1]] == MINUTES[chapter]
+    readme, front = (ROOT / "README.md").read_text(), (ROOT / "book/index.md").read_text()
+    assert f"(book/{chapter}.ipynb) | {MINUTES[chapter]} |" in readme
+    assert f"{{doc}}`{chapter}` | {MINUTES[chapter]} |" in front
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_chapter_keeps_its_budget(book, calibrations, chapter):
+    """As a ratio to work that is timed before and after it; a quarter more may be noise."""
+    if book.name != "demo":
+        pytest.skip("chapters have no time limit at full scale")
+    if chapter not in calibrations:
+        pytest.skip("needs the chapters executed by the same command: run `make test`")
+    took = seconds(book / f"book/{chapter}.ipynb") / calibrations[chapter]
+    assert took <= 1.25 * 60 * MINUTES[chapter] / BUDGET["calibration"]
+
+
+def test_an_unexecuted_chapter_has_no_times(tmp_path):
+    path = tmp_path / "chapter.ipynb"
+    path.write_text(json.dumps({"cells": [{"metadata": {}}]}))
+    assert EXTENSION["executed"](path) is None
+
+
+def test_the_status_page_has_each_chapter_and_what_it_ran_with(book, html):
+    soup = BeautifulSoup((html / "book/status.html").read_text(), "html.parser")
+    rows = [[cell.text for cell in row.select("td")] for row in soup.select("tr")]
+    linked = {link["href"] for link in soup.select("article td a")}
+    for chapter in CHAPTERS:
+        assert f"{chapter}.html" in linked
+        assert f"{seconds(book / f'book/{chapter}.ipynb'):.0f}" in {row[1] for row in rows if row}
+    assert ["torch", version("torch")] in rows
