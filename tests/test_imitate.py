@@ -71,6 +71,16 @@ def test_same_seeds_same_run(tiny, maze):
 ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50, "epochs": 3}
 
 
+def test_after_an_interruption_a_run_can_be_started_again(tiny, maze):
+    def interrupt(rows):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny, [0, 1], maze, on_evaluation=interrupt)
+    again, never = train(tiny, [0, 1], maze), train(tiny, [0, 1], maze)
+    assert again.rows == never.rows
+
+
 @pytest.mark.parametrize(
     "changes",
     [
