@@ -87,7 +87,10 @@ def distances(
         discount: γ of the shaping that makes no difference.
 
     Raises:
-        ValueError: a reward is nothing but shaping on these transitions.
+        ValueError: a reward is nothing but shaping on these transitions, up to rounding.
     """
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
+    for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):
+        if not left.std() > 1e-5 * reward(*transitions).std():
+            raise ValueError(f"reward {i} is nothing but shaping: there is nothing to compare")
     return torch.stack([torch.stack([pearson_distance(x, y) for y in shaped]) for x in shaped])

@@ -77,17 +77,21 @@ def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str 
     )
 
 
+class _Walls(LineCollection):
+    """Lines as wide as the walls. Their width is in points, so the axes must have their size."""
+
+    def draw(self, renderer) -> None:
+        ends = self.axes.transData.transform([(0, 0), (2 * WALL_RADIUS, 0)])
+        self.set_linewidth(np.ptp(ends[:, 0]) * 72 / self.axes.figure.dpi)
+        super().draw(renderer)
+
+
 def maze(ax: Axes, side: str | None) -> None:
     """Draw the walls, the start and the goal of the maze of that side; None: without a barrier."""
-    lines = LineCollection(walls(side), colors="black", capstyle="round", zorder=2)
-    ax.add_collection(lines)
+    ax.add_collection(_Walls(walls(side), colors="black", capstyle="round", zorder=2))
     ax.set(xlim=(-0.14, LENGTH + 0.04), ylim=(-0.14, LENGTH + 0.04), aspect="equal")
     ax.set(xticks=[0, 0.3, 0.6], yticks=[0, 0.3, 0.6], xlabel="x (m)", ylabel="y (m)")
     ax.grid(False)
-    # Line widths are in points: the walls' 0.04 m is known once the axes have their size.
-    ax.figure.canvas.draw()
-    points_per_metre = ax.transData.transform((1, 0))[0] - ax.transData.transform((0, 0))[0]
-    lines.set_linewidth(2 * WALL_RADIUS * points_per_metre * 72 / ax.figure.dpi)
     ax.plot(*START, "o", color="white", markeredgecolor="black", zorder=3)
     ax.plot(*GOAL, "*", color=GREEN, markeredgecolor="black", markersize=13, zorder=3)
 
@@ -100,7 +104,8 @@ def reward_map(
     x, y = np.meshgrid(inner, inner)
     obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
     value = reward.member(member)(obs.view(1, -1, 3)).view(x.shape).numpy()
-    extent = (inner[0], inner[-1], inner[0], inner[-1])
+    half = (inner[1] - inner[0]) / 2  # a pixel lies around its place
+    extent = (inner[0] - half, inner[-1] + half) * 2
     image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)
     maze(ax, side)
     return image

@@ -111,7 +111,14 @@ def test_two_states_by_hand():
     )
 
 
-def test_what_is_nothing_but_shaping_has_no_distance():
-    zero = table_reward(torch.zeros(STATES, ACTIONS, STATES))
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("size", [0.0, 1.0, 1000.0])
+def test_what_is_nothing_but_shaping_has_no_distance(size, dtype):
+    table = shaping(size * random_table(1)[:, 0, 0]).to(dtype)
+    with pytest.raises(ValueError, match="reward 1 is nothing but shaping"):
+        distance(table_reward(random_table(0).to(dtype)), table_reward(table))
+
+
+def test_a_constant_has_no_correlation():
     with pytest.raises(ValueError, match="the same for all transitions"):
-        distance(zero, table_reward(random_table(0)))
+        pearson_distance(torch.ones(3), torch.arange(3.0))

@@ -54,6 +54,8 @@ def test_a_reward_map_is_the_reward_shifted_so_that_its_best_is_0(ax, member):
     values = np.asarray(image.get_array())
     assert values.max() == 0
     assert values.min() < -1e-3
+    # The first pixel lies around -0.08, the last around 0.58.
+    np.testing.assert_allclose(image.get_extent(), [-0.1625, 0.6625] * 2)
     # Row and column are y and x.
     places = np.linspace(-0.08, 0.58, 5)
     obs = np.array([[[places[3], places[1], 0.0]], [[places[0], places[4], 0.0]]], np.float32)
@@ -70,6 +72,17 @@ def test_a_maze_has_its_walls_its_start_and_its_goal(ax, side):
     barrier = next(w for w in walls if np.allclose(w[:, 1], 0.3))
     np.testing.assert_allclose(sorted(barrier[:, 0]), [-0.1, 0.4] if side == "Left" else [0.2, 0.6])
     np.testing.assert_allclose(ax.lines[1].get_xydata()[0], GOAL[:2])
+
+
+@pytest.mark.parametrize("colorbar", [False, True])
+def test_walls_are_as_wide_as_they_are_whatever_is_drawn_beside_them(ax, colorbar):
+    plots.maze(ax, "Left")
+    if colorbar:  # takes room from the axes after the walls are there
+        ax.figure.colorbar(plt.cm.ScalarMappable(), ax=ax)
+    ax.figure.canvas.draw()
+    wide = ax.collections[0].get_linewidth()[0] / 72  # inches
+    box = ax.get_window_extent().width / ax.figure.dpi
+    assert wide / box == pytest.approx(0.04 / np.ptp(ax.get_xlim()))
 
 
 def test_a_grid_shows_every_square_in_its_place(ax):
