@@ -474,9 +474,12 @@ def configure(run: str, scale: Scale) -> Config:
     return replace(experiment.configs[scale], **variants[variant])
 
 
-# What is not recorded where the command line would put it: the maze's experts of demo scale are
-# those of `maze-expert`, trained for longer.
-_RECORDED = {
+# What is not recorded where the command line would put it. What two experiments have in common is
+# recorded once; the maze's experts of demo scale are those of `maze-expert`, trained for longer.
+_RECORDED: Mapping[tuple[str, Scale], str] = {
+    ("maze-rewards/implementation-2", "demo"): "maze-imitation-2-demo",
+    ("maze-rewards/implementation-4", "demo"): "maze-imitation-demo",
+    ("maze-rewards/dac", "demo"): "maze-dac-demo/sac",
     ("experts/PointMazeLeft-sac-learned", "demo"): "maze-expert-left-demo",
     ("experts/PointMazeRight-sac-learned", "demo"): "maze-expert-right-demo",
     **{(f"experts/{name}", "full"): f"experts/{name}" for name in _expert_variants()},
