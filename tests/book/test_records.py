@@ -167,7 +167,7 @@ def literals(code):
         for node in ast.walk(tree)
         if isinstance(node, ast.UnaryOp) and isinstance(node.operand, ast.Constant)
     }
-    return {x for x in values if x >= 100} | {x for x in below if x <= -5}
+    return {x for x in values if x > 100} | {x for x in below if x <= -5}
 
 
 def test_the_search_for_typed_numbers_detects():
