@@ -498,7 +498,7 @@ _MUJOCO = ("HalfCheetah", "Ant", "Hopper", "Walker2d")
 FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "reward variants": {
         panel: {f"Implementation {n}": f"ant-rewards/implementation-{n}" for n in (1, 2, 3, 4)}
-        for panel in ("CustomAnt, true return", "CustomAnt, return under the learned reward")
+        for panel in ("CustomAnt, true return", "CustomAnt, learned return")
     },
     "off-policy AIRL and DAC": {
         task: {"off-policy AIRL": f"locomotion/{task}-airl", "DAC": f"locomotion/{task}-dac"}
@@ -546,10 +546,13 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         for task in (*_MUJOCO, "CustomAnt", "DisabledAnt", "PointMazeLeft", "PointMazeRight")
     },
     "DAC with TD3 and SAC": {
-        task: {"DAC, TD3": f"locomotion/{task}-dac-td3", "DAC, SAC": f"locomotion/{task}-dac"}
+        task: {
+            "DAC with TD3": f"locomotion/{task}-dac-td3",
+            "DAC with SAC": f"locomotion/{task}-dac",
+        }
         for task in _MUJOCO
     }
-    | {"Hopper": {"DAC, TD3": "hopper-dac/td3", "DAC, SAC": "hopper-dac/sac"}},
+    | {"Hopper": {"DAC with TD3": "hopper-dac/td3", "DAC with SAC": "hopper-dac/sac"}},
 }
 """The paper's figures of results (Arnob 2020): figure, panel, curve, and the run that it shows.
 

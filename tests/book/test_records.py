@@ -133,7 +133,7 @@ def cells(folder):
 
 
 def test_the_chapter_names_every_run_with_its_record_or_as_not_run_yet(book):
-    (cell,) = (cell for cell in cells(book) if cell.id == "r10status")
+    (cell,) = (cell for cell in cells(book / "book") if cell.id == "r10status")
     lines = [line.split(maxsplit=1) for line in cell.outputs[0].text.splitlines()]
     said = dict(lines)
     assert set(RUNS) <= set(said)
