@@ -35,12 +35,12 @@ def list_experiments(*, times: bool = False) -> None:
         print(f"  {name:16} {experiment.about}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
-            first = next(iter(experiment.variants.values()), {})
-            about = f", {_words(estimate(replace(config, **first), seeds))}" if times else ""
-            print(
-                f"  {'':16}   {size}: {config.env_id}, {config.total_steps:,} steps, "
-                f"{seeds} seeds{about}"
-            )
+            runs_of_it = [replace(config, **c) for c in experiment.variants.values()] or [config]
+            about = f", {_words(estimate(runs_of_it[0], seeds))}" if times else ""
+            tasks = ", ".join(dict.fromkeys(run.env_id for run in runs_of_it))
+            about = f"{size}: {tasks}, {config.total_steps:,} steps, {seeds} seeds{about}"
+            lines = textwrap.wrap(about, 78, break_on_hyphens=False)
+            print(*(f"  {'':16}   {line}" for line in lines), sep="\n")
         if experiment.variants:
             names = textwrap.wrap(" ".join(experiment.variants), 78, break_on_hyphens=False)
             print(

@@ -1,6 +1,6 @@
 """Episodes of a fixed policy, and the statistics of their returns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -140,6 +140,47 @@ def bootstrap_interval(
         rng=np.random.default_rng(0),
     ).confidence_interval
     return interval.low, interval.high
+
+
+def interquartile_range(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
+    """Return how far the middle half of the first axis reaches."""
+    return scipy.stats.iqr(values, axis=0)
+
+
+def difference(
+    one: Float[np.ndarray, "N"],
+    other: Float[np.ndarray, "M"],
+    statistic: Callable[[np.ndarray], np.ndarray] = interquartile_mean,
+    confidence: float = 0.95,
+) -> tuple[float, float, float]:
+    """Return by how much a statistic of some runs is above that of others.
+
+    Args:
+        one: a return of each of N seeds.
+        other: a return of each of M seeds.
+        statistic: of the first axis: `interquartile_mean`, or `interquartile_range` for the spread.
+        confidence: of the interval.
+
+    Returns:
+        The difference, and the ends of its percentile bootstrap interval over the seeds of both; a
+        single seed tells nothing of others, and leaves the interval without ends.
+    """
+
+    def above(x, y, axis=0):
+        return statistic(np.moveaxis(x, axis, 0)) - statistic(np.moveaxis(y, axis, 0))
+
+    found = float(above(one, other))
+    if min(len(one), len(other)) < 2:
+        return found, -np.inf, np.inf
+    interval = scipy.stats.bootstrap(
+        (one, other),
+        above,
+        confidence_level=confidence,
+        n_resamples=2_000,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return found, float(interval.low), float(interval.high)
 
 
 def probability_of_improvement(

@@ -1,4 +1,7 @@
-"""The experiments, as data: each name means one configuration at demo and one at full scale."""
+"""The experiments, as data: each name means one configuration at demo and one at full scale.
+
+So are the paper's figures: each of their curves is a run of one of these experiments.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,7 +19,7 @@ class Experiment:
         about: one line for a reader.
         configs: the configuration at each scale.
         seeds: the members at each scale.
-        reward_from: the experiment whose learned reward is used, frozen; None for no such.
+        reward_from: the run whose learned reward is used, frozen; None for no such.
         variants: where it is several runs, their names, and what each changes in the configuration.
     """
 
@@ -28,6 +31,7 @@ class Experiment:
 
 
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
+ANT, DISABLED = "offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"
 MARSH, WEST = "offairl/PointMarsh-v0", "offairl/PointMarshWest-v0"
 SEEDS: Mapping[Scale, tuple[int, ...]] = {"demo": tuple(range(5)), "full": tuple(range(10))}
 
@@ -102,28 +106,36 @@ _SIGNS = {
 _DAC = {"td3": {"generator": "td3"}, "sac": {"generator": "sac"}}
 
 
-def _locomotion(env_id: str, **common) -> Mapping[Scale, Config]:
+def _locomotion(env_id: str, demo: dict | None = None, **common) -> Mapping[Scale, Config]:
     # Members end their episodes at different times, so they train every 1,000 steps.
     full = replace(CORRECTED, env_id=env_id, update_every=1_000)
     full = replace(full, **common)
-    return {"demo": replace(full, **_LOCOMOTION_DEMO), "full": full}
+    return {"demo": replace(full, **_LOCOMOTION_DEMO, **(demo or {})), "full": full}
 
 
-# Off-policy AIRL and DAC on the paper's tasks, with an absorbing state where a fall ends them.
+# Off-policy AIRL with SAC and SAC-MCP, and DAC with SAC and TD3, on the paper's tasks, with an
+# absorbing state where a fall ends them.
+_IMITATORS = {
+    "airl": {},
+    "mcp-4": {"primitives": 4},
+    "mcp-8": {"primitives": 8},
+    "dac": {"reward": "dac"},
+    "dac-td3": {"reward": "dac", "generator": "td3"},
+}
 _SIDE_BY_SIDE = {
     f"{env_id.split('/')[-1].split('-')[0]}-{name}": {
         "env_id": env_id,
-        "reward": reward,
         "absorbing": absorbing,
+        **changes,
     }
     for env_id, absorbing in (
         ("HalfCheetah-v5", "none"),
         ("Hopper-v5", "bootstrap"),
         ("Walker2d-v5", "bootstrap"),
         ("Ant-v5", "bootstrap"),
-        ("offairl/CustomAnt-v0", "none"),
+        (ANT, "none"),
     )
-    for name, reward in (("airl", "implementation-4"), ("dac", "dac"))
+    for name, changes in _IMITATORS.items()
 }
 
 
@@ -142,8 +154,8 @@ _LOCOMOTION = (
     "Ant-v5",
     "Hopper-v5",
     "Walker2d-v5",
-    "offairl/CustomAnt-v0",
-    "offairl/DisabledAnt-v0",
+    ANT,
+    DISABLED,
 )
 _ON_THE_MAZE = {"update_every": None, "target_entropy": -1.0, "warmup_hold": 10.0, **_EXPERT}
 
@@ -157,10 +169,11 @@ def _expert_variants() -> dict[str, dict[str, Any]]:
     }
 
 
-def _retraining_variants() -> dict[str, dict[str, Any]]:
+def _retraining_variants(alone: dict, start_steps: int) -> dict[str, dict[str, Any]]:
     """Return what may be kept of the policy, each with and without random starts.
 
-    What begins with a policy has one episode of random actions, and no other help to explore.
+    What begins with a policy has one episode of random actions, and no other help to explore:
+    `alone` says so. A guide acts for at most `start_steps`.
     """
     kept: dict[str, dict[str, Any]] = {"scratch": {}, "policy": {"carry": "policy"}}
     for k in (4, 8):
@@ -168,11 +181,21 @@ def _retraining_variants() -> dict[str, dict[str, Any]]:
         kept |= {f"{k}-gate": {**actor, "fixed_primitives": True}, f"{k}-both": actor}
     variants = {}
     for name, changes in kept.items():
-        alone = {"warmup_steps": 100, "warmup_hold": 1.0} if "carry" in changes else {}
-        variants[name] = {**changes, **alone}
+        variants[name] = {**changes, **(alone if "carry" in changes else {})}
         for guide in ("own", "expert"):
-            variants[f"{name}-{guide}-starts"] = {**variants[name], "start_steps": 50}
+            variants[f"{name}-{guide}-starts"] = {**variants[name], "start_steps": start_steps}
     return variants
+
+
+def _ant_transfer_variants() -> dict[str, dict[str, Any]]:
+    """Return the maze's ways to begin, and those without a guide in the published action order."""
+    variants = _retraining_variants({"warmup_steps": 1_000}, 100)
+    released = {
+        f"{name}-released-order": {**changes, "env_id": "offairl/DisabledAntReleased-v0"}
+        for name, changes in variants.items()
+        if "start_steps" not in changes
+    }
+    return variants | released
 
 
 # What the end of an episode is worth to an imitator: each reward, with each way to go on after it.
@@ -326,8 +349,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_ABSORBING,
     ),
     "locomotion": Experiment(
-        "Off-policy AIRL, Implementation 4, beside DAC on five tasks, α learned: 10 runs",
-        _locomotion("HalfCheetah-v5", temperature=None),
+        "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned: 25 runs",
+        _locomotion("HalfCheetah-v5", _SMALL_MCP, temperature=None),
         SEEDS,
         variants=_SIDE_BY_SIDE,
     ),
@@ -336,7 +359,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _both({"total_steps": 8_000, **_SMALL_MCP}, {}, env_id=RIGHT, reward="frozen"),
         SEEDS,
         reward_from="maze-imitation",
-        variants=_retraining_variants(),
+        variants=_retraining_variants({"warmup_steps": 100, "warmup_hold": 1.0}, 50),
+    ),
+    "ant-transfer": Experiment(
+        "On DisabledAnt, paid by the reward from CustomAnt: what of the policy to keep, α learned",
+        _locomotion(DISABLED, _SMALL_MCP, reward="frozen", temperature=None),
+        SEEDS,
+        reward_from="locomotion/CustomAnt-airl",
+        variants=_ant_transfer_variants(),
     ),
     "maze-airl-memory": Experiment(
         "AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs",
@@ -358,7 +388,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "ant-rewards": Experiment(
         "Implementations 1 to 4 and DAC's reward on CustomAnt, from its demonstrations",
-        _locomotion("offairl/CustomAnt-v0"),
+        _locomotion(ANT),
         SEEDS,
         variants=_REWARDS,
     ),
@@ -426,3 +456,106 @@ def find(name: str) -> Experiment:
     if name not in EXPERIMENTS:
         raise ValueError(f"no experiment {name!r}; there are: {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]
+
+
+def configure(run: str, scale: Scale) -> Config:
+    """Return the configuration of a run: `EXPERIMENT`, or `EXPERIMENT/VARIANT`.
+
+    Raises:
+        ValueError: there is no such experiment, or no such run of it; the message lists those
+            there are.
+    """
+    name, _, variant = run.partition("/")
+    experiment = find(name)
+    variants = experiment.variants or {"": {}}
+    if variant not in variants:
+        there = ", ".join(f"{name}/{v}" if v else name for v in variants)
+        raise ValueError(f"no run {run!r}; there are: {there}")
+    return replace(experiment.configs[scale], **variants[variant])
+
+
+# What is not recorded where the command line would put it. What two experiments have in common is
+# recorded once; the maze's experts of demo scale are those of `maze-expert`, trained for longer.
+_RECORDED: Mapping[tuple[str, Scale], str] = {
+    ("maze-rewards/implementation-2", "demo"): "maze-imitation-2-demo",
+    ("maze-rewards/implementation-4", "demo"): "maze-imitation-demo",
+    ("maze-rewards/dac", "demo"): "maze-dac-demo/sac",
+    ("experts/PointMazeLeft-sac-learned", "demo"): "maze-expert-left-demo",
+    ("experts/PointMazeRight-sac-learned", "demo"): "maze-expert-right-demo",
+    **{(f"experts/{name}", "full"): f"experts/{name}" for name in _expert_variants()},
+}
+
+
+def record(run: str, scale: Scale) -> str:
+    """Return the folder in `book/records` that has, or is to have, the record of a run."""
+    name, _, variant = run.partition("/")
+    return _RECORDED.get((run, scale), f"{name}-{scale}/{variant}".rstrip("/"))
+
+
+_MUJOCO = ("HalfCheetah", "Ant", "Hopper", "Walker2d")
+
+
+FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    "reward variants": {
+        panel: {f"Implementation {n}": f"ant-rewards/implementation-{n}" for n in (1, 2, 3, 4)}
+        for panel in ("CustomAnt, true return", "CustomAnt, learned return")
+    },
+    "off-policy AIRL and DAC": {
+        task: {"off-policy AIRL": f"locomotion/{task}-airl", "DAC": f"locomotion/{task}-dac"}
+        for task in _MUJOCO
+    },
+    "imitation and transfer": {
+        "CustomAnt": {"off-policy AIRL": "locomotion/CustomAnt-airl"},
+        "PointMazeLeft": {"off-policy AIRL": "maze-imitation"},
+        "DisabledAnt": {
+            "policy kept": "ant-transfer/policy",
+            "from scratch": "ant-transfer/scratch",
+            "policy kept, released order": "ant-transfer/policy-released-order",
+        },
+        "PointMazeRight": {
+            "policy kept": "maze-retraining/policy",
+            "from scratch": "maze-retraining/scratch",
+        },
+    },
+    "SAC and SAC-MCP": {
+        task: {
+            "SAC": f"locomotion/{task}-airl",
+            "SAC-MCP, k = 4": f"locomotion/{task}-mcp-4",
+            "SAC-MCP, k = 8": f"locomotion/{task}-mcp-8",
+        }
+        for task in _MUJOCO
+    },
+    "maze transfer with MCP": {
+        title: {f"SAC-MCP, k = {k}": f"maze-retraining/{k}-{part}" for k in (4, 8)}
+        for title, part in (("gating only", "gate"), ("policy and gating", "both"))
+    },
+    "random starts": {
+        f"{title}; guide: {guide}": {
+            "SAC": f"maze-retraining/policy-{start}-starts",
+            **{f"SAC-MCP, k = {k}": f"maze-retraining/{k}-{part}-{start}-starts" for k in (4, 8)},
+        }
+        for start, guide in (("expert", "an expert"), ("own", "the imitator"))
+        for title, part in (("gating only", "gate"), ("policy and gating", "both"))
+    },
+    "expert selection": {
+        task: {
+            "TD3": f"experts/{task}-td3",
+            "SAC, α = 0.2": f"experts/{task}-sac-fixed",
+            "SAC, α learned": f"experts/{task}-sac-learned",
+        }
+        for task in (*_MUJOCO, "CustomAnt", "DisabledAnt", "PointMazeLeft", "PointMazeRight")
+    },
+    "DAC with TD3 and SAC": {
+        task: {
+            "DAC with TD3": f"locomotion/{task}-dac-td3",
+            "DAC with SAC": f"locomotion/{task}-dac",
+        }
+        for task in _MUJOCO
+    }
+    | {"Hopper": {"DAC with TD3": "hopper-dac/td3", "DAC with SAC": "hopper-dac/sac"}},
+}
+"""The paper's figures of results (Arnob 2020): figure, panel, curve, and the run that it shows.
+
+The paper's random starts are by an expert; those by the imitator stand beside them. DAC on Hopper
+is an experiment of its own, with the α of the paper.
+"""

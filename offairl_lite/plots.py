@@ -54,12 +54,14 @@ def curve(
     returns: Float[np.ndarray, "S K"],
     label: str,
     color: str = BLUE,
+    linestyle: str = "-",
 ) -> None:
     """Draw a population's learning curve: interquartile mean, 95 % bootstrap band, every member."""
     low, high = bootstrap_interval(returns)
     ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
     ax.plot(steps, returns.T, color=color, alpha=0.35, linewidth=0.7)
-    ax.plot(steps, interquartile_mean(returns), color=color, label=label)
+    mean = interquartile_mean(returns)
+    ax.plot(steps, mean, color=color, linestyle=linestyle, label=label)
 
 
 def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str = "--") -> None:

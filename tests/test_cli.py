@@ -53,6 +53,8 @@ def test_list_shows_experiments_and_experts(capsys, shipped_experts):
         assert experiment.about in out
     assert "demo: offairl/PointMazeLeft-v0, 6,000 steps, 5 seeds\n" in out
     assert "full: Hopper-v5, 1,000,000 steps, 10 seeds\n" in out
+    several = "PointMazeRight-v0, offairl/PointMazeLeft-v0, 8,000 steps, 5 seeds"
+    assert several in " ".join(out.split())  # every task, whatever the lines
     assert "offairl/PointMazeLeft-v0   2 policies" in out
 
 

@@ -6,8 +6,10 @@ import torch
 
 from offairl_lite.evaluate import (
     bootstrap_interval,
+    difference,
     episode_seeds,
     interquartile_mean,
+    interquartile_range,
     probability_of_improvement,
     rollout,
 )
@@ -150,6 +152,32 @@ def test_the_interval_is_that_of_resampled_means():
     assert low < interquartile_mean(values) < high
     wider = bootstrap_interval(values, 0.99)
     assert wider[0] < low < high < wider[1]
+
+
+def test_the_interquartile_range_is_the_reach_of_the_middle_half():
+    values = np.array([4.0, 0.0, 3.0, 1.0, 2.0])
+    assert interquartile_range(values) == 3 - 1
+    columns = np.stack([values, 10 * values], 1)
+    np.testing.assert_array_equal(interquartile_range(columns), [2, 20])
+
+
+@pytest.mark.parametrize("statistic", [interquartile_mean, interquartile_range])
+def test_a_difference_is_that_of_the_statistics_with_the_interval_of_resampled_ones(statistic):
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(1, 3, size=12), rng.normal(size=20)
+    found, low, high = difference(one, other, statistic, 0.9)
+    assert found == pytest.approx(statistic(one) - statistic(other))
+    drawn = [statistic(x[rng.integers(len(x), size=(20_000, len(x)))].T) for x in (one, other)]
+    expected = np.quantile(drawn[0] - drawn[1], [0.05, 0.95])
+    np.testing.assert_allclose([low, high], expected, atol=0.1)
+    back = difference(other, one, statistic, 0.9)
+    np.testing.assert_allclose(back, (-found, -high, -low), atol=0.1)
+
+
+def test_a_difference_from_a_single_run_has_no_interval():
+    one, other = np.array([3.0]), np.array([1.0, 2.0, 3.0, 4.0])
+    assert difference(one, other) == (0.5, -np.inf, np.inf)
+    assert difference(other, np.full(2, 2.5))[0] == 0
 
 
 def test_probability_of_improvement_is_the_share_of_pairs_won():

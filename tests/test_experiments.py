@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 
 from offairl_lite.config import CORRECTED, PAPER, RELEASE, differences
-from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, find, record
+
+SCALES = ("demo", "full")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -66,19 +68,67 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
     }
 
 
-def test_locomotion_sets_dac_beside_airl_with_nothing_else_between_them():
+def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them():
     experiment = find("locomotion")
+    between = {
+        "airl": set(),
+        "mcp-4": {"primitives"},
+        "mcp-8": {"primitives"},
+        "dac": {"reward"},
+        "dac-td3": {"reward", "generator"},
+    }
     for scale, config in experiment.configs.items():
         tasks = set()
         for name, changes in experiment.variants.items():
             run = replace(config, **changes)
             task, _, method = name.partition("-")
-            other = replace(config, **experiment.variants[f"{task}-dac"])
-            assert set(differences(run, other)) == ({"reward"} if method == "airl" else set())
+            airl = replace(config, **experiment.variants[f"{task}-airl"])
+            assert set(differences(run, airl)) == between[method]
+            assert (run.reward == "dac") == method.startswith("dac")
             assert (run.absorbing == "bootstrap") == (task in ("Hopper", "Walker2d", "Ant"))
             tasks.add(run.env_id)
         assert len(tasks) == 5
+        assert len(experiment.variants) == len(tasks) * len(between)
         assert (config.temperature, config.update_every) == (None, 1_000), scale
+
+
+@pytest.mark.parametrize("name", ["maze-retraining", "ant-transfer"])
+def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions(name):
+    experiment, steps = find(name), {"maze-retraining": 100, "ant-transfer": 1_000}[name]
+    for scale, config in experiment.configs.items():
+        runs = {v: replace(config, **changes) for v, changes in experiment.variants.items()}
+        assert {run.reward for run in runs.values()} == {"frozen"}
+        for variant, run in runs.items():
+            assert (run.carry == "nothing") == variant.startswith("scratch")
+            assert (run.primitives is None) == variant.startswith(("scratch", "policy"))
+            assert run.fixed_primitives == ("-gate" in variant)
+            assert (run.start_steps > 0) == variant.endswith("-starts")
+            if run.carry == "nothing":
+                assert run.warmup_steps == config.warmup_steps
+            else:
+                assert (run.warmup_steps, run.warmup_hold) == (steps, 1), scale
+
+
+def test_the_ants_that_are_carried_over_are_of_the_form_that_is_learned():
+    # An actor fits only one of the same architecture.
+    form = ("hidden", "trunk_hidden", "primitive_hidden", "gate_hidden", "gating", "primitives")
+    for scale, ant in itertools.product(("demo", "full"), ("policy", "4-gate", "8-both")):
+        k = ant.split("-")[0]
+        source = "locomotion/CustomAnt-" + ("airl" if k == "policy" else f"mcp-{k}")
+        learned, retrained = configure(source, scale), configure(f"ant-transfer/{ant}", scale)
+        assert not set(differences(learned, retrained)) & set(form)
+
+
+def test_the_released_order_is_the_only_thing_that_is_otherwise_in_its_runs():
+    experiment = find("ant-transfer")
+    released = [name for name in experiment.variants if name.endswith("-released-order")]
+    assert len(released) == 6
+    for scale, name in itertools.product(("demo", "full"), released):
+        run = configure(f"ant-transfer/{name}", scale)
+        other = configure(f"ant-transfer/{name.removesuffix('-released-order')}", scale)
+        assert differences(other, run) == {
+            "env_id": ("offairl/DisabledAnt-v0", "offairl/DisabledAntReleased-v0")
+        }
 
 
 def test_entropy_is_counted_once_in_two_ways():
@@ -131,7 +181,11 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
             full.reward,
             full.generator,
         )
-        assert experiment.reward_from is None or demo.reward == "frozen"
+        assert (experiment.reward_from is None) == (demo.reward != "frozen")
+        if experiment.reward_from in EXPERIMENTS:  # all of its runs, or a single one
+            continue
+        if experiment.reward_from is not None:
+            assert configure(experiment.reward_from, "full").learns_reward
 
 
 def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
@@ -181,3 +235,37 @@ def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_no
             dac = find("hopper-dac")
             dac = replace(dac.configs[scale], **dac.variants["sac"])
             assert dac in runs
+
+
+def test_a_run_is_configured_by_its_name():
+    experiment = find("maze-dac")
+    for scale, config in experiment.configs.items():
+        assert configure("maze-dac/td3", scale) == replace(config, generator="td3")
+        assert configure("maze-expert", scale) is not None
+    for wrong in ("maze-dac", "maze-dac/ppo", "maze-imitation/td3"):
+        with pytest.raises(ValueError, match=f"no run '{wrong}'; there are: maze-"):
+            configure(wrong, "demo")
+    with pytest.raises(ValueError, match="no experiment 'maze'"):
+        configure("maze/td3", "demo")
+
+
+def test_a_record_is_where_the_command_line_puts_it_but_for_the_experts():
+    assert record("maze-imitation", "full") == "maze-imitation-full"
+    assert record("maze-dac/td3", "demo") == "maze-dac-demo/td3"
+    assert record("experts/Hopper-td3", "full") == "experts/Hopper-td3"
+    assert record("experts/Hopper-td3", "demo") == "experts-demo/Hopper-td3"
+    assert record("experts/PointMazeLeft-sac-learned", "demo") == "maze-expert-left-demo"
+
+
+def test_every_curve_of_the_paper_is_a_run():
+    panels = [panel for figure in FIGURES.values() for panel in figure.items()]
+    for title, curves in panels:
+        tasks = {configure(run, scale).env_id for run in curves.values() for scale in SCALES}
+        named = {task.split("/")[-1].split("-")[0] for task in tasks}
+        assert named in ({title.split(",")[0]}, {"PointMazeRight"}) or named == {
+            "DisabledAnt",
+            "DisabledAntReleased",
+        }
+        assert len(set(curves.values())) == len(curves)
+    # Besides the environments (4) and the actor (1), the paper has 30 panels; two are added.
+    assert len(panels) == 30 + 2

@@ -25,12 +25,13 @@ def ax():
 def test_a_curve_is_the_interquartile_mean_its_band_and_every_member(ax, members):
     steps = np.array([100, 200, 300])
     returns = np.random.default_rng(0).normal(size=(members, 3))
-    plots.curve(ax, steps, returns, "imitation", plots.ORANGE)
+    plots.curve(ax, steps, returns, "imitation", plots.ORANGE, "--")
     *each, mean = ax.lines
     np.testing.assert_array_equal(
         mean.get_xydata(), np.stack([steps, interquartile_mean(returns)], 1)
     )
     assert (mean.get_label(), to_hex(mean.get_color())) == ("imitation", plots.ORANGE.lower())
+    assert mean.get_linestyle() == "--"
     np.testing.assert_array_equal([line.get_ydata() for line in each], returns)
     # Only the mean has an entry in the legend.
     assert ax.get_legend_handles_labels()[1] == ["imitation"]

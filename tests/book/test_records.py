@@ -1,0 +1,203 @@
+"""The records: complete, of the experiments they name, and the only source of the last chapter."""
+
+import ast
+import re
+from dataclasses import fields, replace
+from datetime import datetime
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+
+from offairl_lite import records
+from offairl_lite.config import Config, differences
+from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
+from offairl_lite.records import Plan, read_json
+from offairl_lite.runs import PACKAGES
+
+ROOT = Path(__file__).parents[2]
+HOME = ROOT / "book/records"
+CHAPTER = "10_results"
+FOLDERS = sorted(path.parent.relative_to(HOME).as_posix() for path in HOME.rglob("config.json"))
+RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r in c.values()})
+
+# A record may be shorter or longer than its experiment is. What else may differ is what it is
+# about, and is named here.
+LENGTH = {"total_steps"}
+VARIED = {
+    "maze-imitation-2-demo": {"reward"},
+    "maze-imitation-fresh-demo": {"warmup_hold"},
+    "maze-imitation-raw-demo": {"normalise"},
+    "maze-imitation-released-loss-demo": {"policy_in_logit"},
+    "maze-imitation-right-demo": {"env_id"},
+    "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
+    # The shipped experts are trained for longer, and evaluated less often.
+    "maze-expert-left-demo": {"eval_every"},
+    "maze-expert-right-demo": {"env_id", "eval_every"},
+}
+# The first ones were made before a run said where, of what commit, and by what demonstrations.
+EARLY = {
+    "maze-expert-left-demo",
+    "maze-expert-right-demo",
+    "maze-imitation-2-demo",
+    "maze-imitation-demo",
+    "maze-imitation-fresh-demo",
+    "maze-imitation-full",
+    "maze-imitation-raw-demo",
+    "maze-imitation-released-loss-demo",
+    "maze-transfer-demo",
+}
+FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.safetensors"}
+FILES |= {"frozen.safetensors", "carried.safetensors", "guide.safetensors"}
+
+
+def run_of(folder, plan):
+    """The name of the run that a record is of."""
+    variant = folder.split("/")[-1] if EXPERIMENTS[plan.experiment].variants else ""
+    return f"{plan.experiment}/{variant}".rstrip("/")
+
+
+def test_what_is_named_is_recorded():
+    assert set(VARIED) | EARLY <= set(FOLDERS)
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_record_says_what_produced_it(folder):
+    names = {path.name for path in (HOME / folder).iterdir() if path.is_file()}
+    assert {"config.json", "curve.csv", "run.json"} <= names <= FILES
+    plan, about = Plan.read(HOME / folder), read_json(HOME / folder / "run.json")
+    assert datetime.fromisoformat(about["started"]).tzinfo is not None
+    assert set(about["versions"]) == set(PACKAGES)
+    assert all(re.match(r"\d+\.\d+", version) for version in about["versions"].values())
+    assert about["wall_s"] > 0
+    assert about["machine"]
+    assert about["cores"] >= about["threads"] >= 1
+    if folder not in EARLY:
+        assert about["processor"]
+        assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", about["commit"])
+    assert set(about["shards"]) == {"-".join(map(str, shard)) for shard in plan.shards}
+    assert about["state"]
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_record_is_of_the_experiment_that_it_names(folder):
+    plan = Plan.read(HOME / folder)
+    assert plan.scale in ("demo", "full")
+    expected = configure(run_of(folder, plan), plan.scale)
+    changed = set(differences(expected, plan.config)) - LENGTH
+    assert changed == VARIED.get(folder, set()), "name in VARIED what a record is about"
+    assert len(set(plan.seeds)) == len(plan.seeds)
+    shown = plan.demonstrations
+    assert (shown is not None) == plan.config.learns_reward
+    if shown is not None:
+        assert shown["trajectories"] > 0
+        assert folder in EARLY or re.fullmatch(r"[0-9a-f]{64}", shown["digest"])
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_curve_has_all_that_its_run_has_evaluated(folder):
+    run, about = records.read(HOME / folder), read_json(HOME / folder / "run.json")
+    config = run.config
+    assert run.rows
+    for row in run.rows:
+        assert row.seed in run.seeds
+        assert row.step <= config.total_steps
+        assert len(row.returns) == config.eval_episodes
+        assert row.mean_return == pytest.approx(np.mean(row.returns))
+    assert len({(row.seed, row.step) for row in run.rows}) == len(run.rows)
+    if about["state"] == "finished":
+        kept = [seed not in run.diverged for seed in run.seeds]
+        assert run.steps[-1] == config.total_steps
+        assert not np.isnan(run.returns[kept]).any()
+
+
+@pytest.mark.parametrize("scale", ["demo", "full"])
+@pytest.mark.parametrize("run", RUNS)
+def test_what_a_figure_would_draw_is_a_record_of_that_run(run, scale):
+    folder = record(run, scale)
+    if folder not in FOLDERS:
+        assert not (HOME / folder / "curve.csv").exists()
+        return
+    plan = Plan.read(HOME / folder)
+    assert plan.scale == scale
+    # Recorded under another name it is the same at full scale, but for what it is about.
+    own = configure(run_of(folder, plan), "full")
+    about = VARIED.get(folder, set()) - {"eval_every"}
+    own = replace(own, **{name: getattr(plan.config, name) for name in about})
+    assert differences(own, configure(run, "full")) == {}
+
+
+def cells(folder):
+    return nbformat.read(folder / f"{CHAPTER}.ipynb", as_version=4).cells
+
+
+def test_the_chapter_names_every_run_with_its_record_or_as_not_run_yet(book):
+    (cell,) = (cell for cell in cells(book / "book") if cell.id == "r10status")
+    lines = [line.split(maxsplit=1) for line in cell.outputs[0].text.splitlines()]
+    said = dict(lines)
+    assert set(RUNS) <= set(said)
+    for run in RUNS:
+        there = [s for s in ("full", "demo") if record(run, s) in FOLDERS]
+        expected = f"{there[0]}, " if there else "not run yet"
+        assert said[run].startswith(expected), run
+
+
+NUMBER = re.compile(r"(?<![\w.])[-−]?\d[\d,]*(?:\.\d+)?")
+UNSPOKEN = re.compile(r"\$[^$]*\$|`[^`]*`|\{[\w:]+\}|```.*?```", re.DOTALL)
+
+
+def typed(markdown):
+    """Numbers in the prose that look like measurements: with decimals, below 0, or large."""
+    text = UNSPOKEN.sub(" ", markdown)
+    numbers = NUMBER.findall(text)
+    return [n for n in numbers if re.search(r"[-−.]", n) or float(n.replace(",", "")) >= 100]
+
+
+def literals(code):
+    """Numbers in code that look like measurements."""
+    tree = ast.parse(code)
+    values = {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float)
+    }
+    below = {
+        -node.operand.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.operand, ast.Constant)
+    }
+    return {x for x in values if x > 100} | {x for x in below if x <= -5}
+
+
+def test_the_search_for_typed_numbers_detects():
+    assert typed("It returns −26.5, or 0.3, or 1,377.") == ["−26.5", "0.3", "1,377"]
+    assert typed("of 5 seeds, $x = -3$, `run 300`, {doc}`09_transfer`, 95 %, 10 of 10") == []
+    assert literals("x = 8596; y[-1]; z = -26.5; figsize=(8.2, 3)") == {8596, -26.5}
+
+
+# Settings and definitions: the bar on the maze, the paper's temperature; thousands of steps.
+DEFINED_IN_PROSE, DEFINED_IN_CODE = {"−14", "0.2"}, {-14, 1000}
+
+
+def test_no_number_that_the_records_have_is_typed_into_the_chapter():
+    solution, paper = False, []
+    for cell in cells(ROOT / "book"):
+        if cell.cell_type == "code":
+            if "paper" in cell.metadata.get("tags", ()):
+                paper.append(cell)
+            elif not solution:
+                assert literals(cell.source) <= DEFINED_IN_CODE, cell.id
+        else:
+            solution = solution or "{solution-start}" in cell.source
+            solution = solution and "{solution-end}" not in cell.source
+            exercise = "{exercise}" in cell.source
+            if not solution and not exercise:
+                assert set(typed(cell.source)) <= DEFINED_IN_PROSE, cell.id
+    assert len(paper) == 1
+    assert "Arnob (2020)" in paper[0].source
+
+
+def test_every_field_of_a_record_is_one_of_the_configuration():
+    names = {field.name for field in fields(Config)}
+    assert set().union(*VARIED.values()) | LENGTH <= names
