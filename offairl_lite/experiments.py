@@ -187,6 +187,17 @@ def _retraining_variants(alone: dict, start_steps: int) -> dict[str, dict[str, A
     return variants
 
 
+def _maze_retraining_variants() -> dict[str, dict[str, Any]]:
+    """Return the ways to begin, and those with primitives with the warm-up of scratch, too."""
+    alone = {"warmup_steps": 100, "warmup_hold": 1.0}
+    helped = {
+        f"{name}-helped": changes
+        for name, changes in _retraining_variants({}, 50).items()
+        if changes.get("carry") == "primitives" and "start_steps" not in changes
+    }
+    return _retraining_variants(alone, 50) | helped
+
+
 def _ant_transfer_variants() -> dict[str, dict[str, Any]]:
     """Return the maze's ways to begin, and those without a guide in the published action order."""
     variants = _retraining_variants({"warmup_steps": 1_000}, 100)
@@ -359,7 +370,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _both({"total_steps": 8_000, **_SMALL_MCP}, {}, env_id=RIGHT, reward="frozen"),
         SEEDS,
         reward_from="maze-imitation",
-        variants=_retraining_variants({"warmup_steps": 100, "warmup_hold": 1.0}, 50),
+        variants=_maze_retraining_variants(),
     ),
     "ant-transfer": Experiment(
         "On DisabledAnt, paid by the reward from CustomAnt: what of the policy to keep, α learned",
