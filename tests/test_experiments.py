@@ -93,7 +93,7 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
 
 
 @pytest.mark.parametrize("name", ["maze-retraining", "ant-transfer"])
-def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions(name):
+def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions_unless_helped(name):
     experiment, steps = find(name), {"maze-retraining": 100, "ant-transfer": 1_000}[name]
     for scale, config in experiment.configs.items():
         runs = {v: replace(config, **changes) for v, changes in experiment.variants.items()}
@@ -103,8 +103,9 @@ def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions(name):
             assert (run.primitives is None) == variant.startswith(("scratch", "policy"))
             assert run.fixed_primitives == ("-gate" in variant)
             assert (run.start_steps > 0) == variant.endswith("-starts")
-            if run.carry == "nothing":
+            if run.carry == "nothing" or variant.endswith("-helped"):
                 assert run.warmup_steps == config.warmup_steps
+                assert run.warmup_hold == config.warmup_hold
             else:
                 assert (run.warmup_steps, run.warmup_hold) == (steps, 1), scale
 
