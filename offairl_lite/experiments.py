@@ -331,13 +331,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         },
     ),
     "hopper-gail": Experiment(
-        "GAIL with PPO on Hopper, where episodes end when it falls: give --dataset",
+        "GAIL with PPO on Hopper, where episodes end when it falls: its two rewards, and DAC's",
         _locomotion("Hopper-v5", **_ON_POLICY, reward="gail-survival"),
         SEEDS,
         variants=_SIGNS,
     ),
     "hopper-dac": Experiment(
-        "DAC with TD3 and with SAC on Hopper, with absorbing states: give --dataset",
+        "DAC with TD3 and with SAC on Hopper, with absorbing states",
         _locomotion("Hopper-v5", reward="dac", absorbing="bootstrap"),
         SEEDS,
         variants=_DAC,
