@@ -32,6 +32,11 @@ VARIED = {
     "maze-imitation-released-loss-demo": {"policy_in_logit"},
     "maze-imitation-right-demo": {"env_id"},
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
+    # On-policy methods take longer.
+    **{
+        f"hopper-gail-demo/{name}": {"eval_every"}
+        for name in ("survival", "termination", "log-odds")
+    },
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
