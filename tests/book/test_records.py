@@ -32,6 +32,8 @@ VARIED = {
     "maze-imitation-released-loss-demo": {"policy_in_logit"},
     "maze-imitation-right-demo": {"env_id"},
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
+    "locomotion-released-loss-demo/HalfCheetah-airl": {"policy_in_logit"},
+    "locomotion-wide-demo/HalfCheetah-airl": {"log_std_range"},
     # On-policy methods take longer.
     **{
         f"hopper-gail-demo/{name}": {"eval_every"}
