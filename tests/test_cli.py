@@ -172,7 +172,10 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
         ("demos Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         ("watch Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         ("watch no.safetensors", "no policy at no.safetensors"),
-        ("resume nowhere", "no run in nowhere: it has no config.json; `offairl run NAME --out now"),
+        (
+            "resume nowhere",
+            "nowhere: it has no config.json; `offairl run NAME --out nowhere` starts",
+        ),
         (f"run maze-expert --processes 0 {SMALL}", "processes is 0; expected at least 1"),
     ],
 )
