@@ -203,8 +203,8 @@ def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
         FileNotFoundError: no expert is shipped for the task.
         OSError: Minari's local storage cannot be written to.
     """
-    with _storage(), tempfile.TemporaryFile(dir=get_dataset_path()):
-        pass  # now, and not after minutes of work
+    with _storage():  # found out now, and not after minutes of work
+        tempfile.TemporaryFile(dir=get_dataset_path()).close()
     policy = expert(env_id)
     first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []

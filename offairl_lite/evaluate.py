@@ -124,15 +124,13 @@ def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
     return scipy.stats.trim_mean(values, 0.25, axis=0)
 
 
-def bootstrap_interval(
-    values: Float[np.ndarray, "N ..."], confidence: float = 0.95
+def _percentiles(
+    samples: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], confidence: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
-    if len(values) < 2:
-        return values[0], values[0]
+    """Return the percentile bootstrap interval of a statistic over the samples' first axes."""
     interval = scipy.stats.bootstrap(
-        (values,),
-        lambda x, axis: scipy.stats.trim_mean(x, 0.25, axis=axis),
+        samples,
+        statistic,
         confidence_level=confidence,
         n_resamples=2_000,
         axis=0,
@@ -140,6 +138,17 @@ def bootstrap_interval(
         rng=np.random.default_rng(0),
     ).confidence_interval
     return interval.low, interval.high
+
+
+def bootstrap_interval(
+    values: Float[np.ndarray, "N ..."], confidence: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
+    if len(values) < 2:
+        return values[0], values[0]
+    return _percentiles(
+        (values,), lambda x, axis: scipy.stats.trim_mean(x, 0.25, axis=axis), confidence
+    )
 
 
 def interquartile_range(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
@@ -172,15 +181,8 @@ def difference(
     found = float(above(one, other))
     if min(len(one), len(other)) < 2:
         return found, -np.inf, np.inf
-    interval = scipy.stats.bootstrap(
-        (one, other),
-        above,
-        confidence_level=confidence,
-        n_resamples=2_000,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return found, float(interval.low), float(interval.high)
+    low, high = _percentiles((one, other), above, confidence)
+    return found, float(low), float(high)
 
 
 def probability_of_improvement(
@@ -201,12 +203,5 @@ def probability_of_improvement(
         x, y = np.expand_dims(x, -1), np.expand_dims(y, -2)
         return np.heaviside(x - y, 0.5).mean((-2, -1))
 
-    interval = scipy.stats.bootstrap(
-        (one, other),
-        share,
-        confidence_level=confidence,
-        n_resamples=2_000,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return float(share(one, other)), float(interval.low), float(interval.high)
+    low, high = _percentiles((one, other), share, confidence)
+    return float(share(one, other)), float(low), float(high)
