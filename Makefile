@@ -18,6 +18,9 @@ RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 EXECUTE := --nbmake --overwrite --nbmake-kernel=python3 \
            --nbmake-timeout=$(if $(filter full,$(SCALE)),-1,600)
 
+# Processes that share the tests and the chapters.
+WORKERS ?= auto
+
 # One thread: small networks gain nothing from more, and curves do not depend on the machine's
 # cores. Chapters can then be run side by side: `make -j2 book`.
 export OMP_NUM_THREADS ?= 1
@@ -59,7 +62,8 @@ test: $(ENV)
 	@rm -rf $(STAGE) _build
 	@$(MAKE) --no-print-directory stage
 	@cp $(CHAPTERS) $(STAGE)/book
-	$(BIN)/pytest -rs tests $(STAGE)/book $(EXECUTE) --book $(STAGE)
+	$(BIN)/pytest -rs -n $(WORKERS) --dist worksteal --ignore tests/book tests $(STAGE)/book $(EXECUTE)
+	$(BIN)/pytest -rs tests/book --book $(STAGE)
 	@touch $(RUN)
 
 $(ENV): pyproject.toml constraints.txt

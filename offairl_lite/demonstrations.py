@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ import gymnasium
 import minari
 import numpy as np
 import torch
+from filelock import FileLock
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
@@ -163,22 +165,43 @@ def load(
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     if subsample < 1:
         raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
-    with _storage():
-        known = minari.list_local_datasets()
     if dataset_id is None:
         digest = _digest(expert_file(env_id).read_bytes())[:8]
         dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{trajectories}-v0"
+        with warnings.catch_warnings():
+            # It may be one that another process is about to write.
+            warnings.filterwarnings("ignore", "Misconfigured dataset")
+            whole = _is_whole(dataset_id, trajectories)
+        if not whole:
+            with _storage():
+                alone = FileLock(get_dataset_path() / ".offairl.lock").acquire()
+            with alone:
+                if not _is_whole(dataset_id, trajectories):
+                    # Nobody else is writing, so what is there was given up half-way.
+                    shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
+                    generate(env_id, trajectories, dataset_id)
+    else:
+        known = _known()
         if dataset_id not in known:
-            generate(env_id, trajectories, dataset_id)
-    elif dataset_id not in known:
-        raise FileNotFoundError(
-            f"Minari has no local data set {dataset_id!r}; here are: "
-            f"{', '.join(known) or 'no data set at all'}. "
-            "Download one with `minari download`, or write one with "
-            "minari.create_dataset_from_buffers"
-        )
+            raise FileNotFoundError(
+                f"Minari has no local data set {dataset_id!r}; here are: "
+                f"{', '.join(known) or 'no data set at all'}. "
+                "Download one with `minari download`, or write one with "
+                "minari.create_dataset_from_buffers"
+            )
     data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
     return data if subsample == 1 else data.subsample(every=subsample)
+
+
+def _known() -> dict[str, dict[str, Any]]:
+    """Return what Minari has here, with its metadata, by name."""
+    with _storage():
+        return minari.list_local_datasets()
+
+
+def _is_whole(dataset_id: str, trajectories: int) -> bool:
+    """Return whether a data set is there, and has all its episodes, which are counted last."""
+    return _known().get(dataset_id, {}).get("total_episodes") == trajectories
 
 
 @contextmanager

@@ -1,8 +1,9 @@
-"""One run for everything: how to ask for the book's checks, and the order of the whole.
+"""How to ask for the book's checks, the order of the tests, and how fast the machine is.
 
 Below them, what several modules' tests start from: tiny runs and random demonstrations.
 """
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -34,16 +35,12 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(items):
-    """Cheap first: unit tests, then the chapters, then the book that is rendered from them."""
+    """Chapters first, since they take longest, and the book that is rendered from them last."""
     items.sort(
         key=lambda item: (
-            2 * ("book" in getattr(item, "fixturenames", ())) or item.path.suffix == ".ipynb"
+            2 * ("book" in getattr(item, "fixturenames", ())) - (item.path.suffix == ".ipynb")
         )
     )
-
-
-CALIBRATIONS = pytest.StashKey[dict[str, float]]()
-"""Seconds the calibration took around each chapter, by the chapter's name."""
 
 
 def calibrate():
@@ -58,20 +55,19 @@ def calibrate():
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item):
-    """Measure how fast the machine is before and after a chapter, for the chapter's budget."""
-    if item.path.suffix != ".ipynb":
+def pytest_runtest_call(item):
+    """Measure how fast the machine is before and after a chapter, for the chapter's budget.
+
+    It is kept in the executed notebook, where the chapter's own times are.
+    """
+    if item.path.suffix != ".ipynb" or not item.config.option.overwrite:
         return (yield)
     before = calibrate()
     result = yield
-    calibrations = item.config.stash.setdefault(CALIBRATIONS, {})
-    calibrations[item.path.stem] = (before + calibrate()) / 2
+    content = json.loads(item.path.read_text("utf-8"))
+    content["metadata"]["calibration"] = (before + calibrate()) / 2
+    item.path.write_text(json.dumps(content, indent=1), "utf-8")
     return result
-
-
-@pytest.fixture(scope="session")
-def calibrations(request):
-    return request.config.stash.get(CALIBRATIONS, {})
 
 
 @pytest.fixture

@@ -1,11 +1,16 @@
 import hashlib
 import json
+import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 
 import minari
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
 from offairl_lite import absorbing, demonstrations
 from offairl_lite.demonstrations import Demonstrations, load, short_name
@@ -134,6 +139,37 @@ def test_read_only_storage_can_be_read_and_is_refused_before_any_work(
     monkeypatch.setattr("offairl_lite.demonstrations.rollout", None)
     with pytest.raises(OSError, match=r"Permission denied.*; set MINARI_DATASETS_PATH"):
         load(MAZE, trajectories=3)
+
+
+def test_what_another_process_is_making_is_waited_for(minari_folder, shipped_experts, monkeypatch):
+    made = load(MAZE, trajectories=2)
+    (dataset_id,) = minari.list_local_datasets()
+    shutil.rmtree(minari_folder / dataset_id)
+    locked, generate = threading.Event(), demonstrations.generate
+
+    def other():
+        with FileLock(minari_folder / ".offairl.lock"):
+            locked.set()
+            time.sleep(0.5)  # time enough to find that nothing is there
+            generate(MAZE, 2, dataset_id)
+
+    monkeypatch.setattr(demonstrations, "generate", None)
+    with ThreadPoolExecutor() as pool:
+        done = pool.submit(other)
+        locked.wait()
+        again = load(MAZE, trajectories=2)
+        done.result()
+    assert torch.equal(again.transitions.obs, made.transitions.obs)
+
+
+def test_what_was_given_up_half_way_is_made_anew(minari_folder, shipped_experts):
+    made = load(MAZE, trajectories=2)
+    (dataset_id,) = minari.list_local_datasets()
+    data = minari.load_dataset(dataset_id)
+    data.storage.update_metadata({"total_episodes": 1})
+    again = load(MAZE, trajectories=2)
+    assert torch.equal(again.transitions.obs, made.transitions.obs)
+    assert minari.list_local_datasets()[dataset_id]["total_episodes"] == 2
 
 
 def test_a_task_without_experts_lists_those_that_have_some(minari_folder, shipped_experts):

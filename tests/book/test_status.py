@@ -41,13 +41,15 @@ def test_the_minutes_that_are_promised_are_the_budget(chapter):
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
-def test_chapter_keeps_its_budget(book, calibrations, chapter):
+def test_chapter_keeps_its_budget(book, chapter):
     """As a ratio to work that is timed before and after it; a quarter more may be noise."""
     if book.name != "demo":
         pytest.skip("chapters have no time limit at full scale")
-    if chapter not in calibrations:
-        pytest.skip("needs the chapters executed by the same command: run `make test`")
-    took = seconds(book / f"book/{chapter}.ipynb") / calibrations[chapter]
+    path = book / f"book/{chapter}.ipynb"
+    metadata = json.loads(path.read_text("utf-8"))["metadata"]
+    if "calibration" not in metadata:
+        pytest.skip("needs the chapters executed by pytest: run `make test`")
+    took = seconds(path) / metadata["calibration"]
     assert took <= 1.25 * 60 * MINUTES[chapter] / BUDGET["calibration"]
 
 
