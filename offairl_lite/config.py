@@ -139,6 +139,11 @@ class Config:
     """Whether the loss is that of D = e^f / (e^f + π), with logit f - log π. False: the released
     loss, whose gradient is that of D = σ(f)."""
 
+    replay_density: Literal["policy", "mixture"] = "policy"
+    """Which density of the actions in replay the discriminator compares e^f with. `policy`: that of
+    π as it is now, as if all of them were its own. `mixture`: that of π and of the warm-up's
+    uniform actions, mixed as replay has them, which has no tail."""
+
     discriminator_discount: float = 0.99
     """γ in f(s, a, s') = r + γ V(s') - V(s)."""
 
@@ -263,6 +268,11 @@ class Config:
             raise ValueError(
                 f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
                 "it is for implementation-1 and implementation-2"
+            )
+        if self.replay_density == "mixture" and self.log_density == "released":
+            raise ValueError(
+                "replay_density='mixture' mixes densities of the squashed action, which "
+                "log_density='released' is not: set log_density='exact'"
             )
         if self.bottleneck is not None and self.spectral_norm:
             raise ValueError(

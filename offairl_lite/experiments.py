@@ -110,13 +110,17 @@ def _locomotion(env_id: str, demo: dict | None = None, **common) -> Mapping[Scal
     # Members end their episodes at different times, so they train every 1,000 steps.
     full = replace(CORRECTED, env_id=env_id, update_every=1_000)
     full = replace(full, **common)
-    return {"demo": replace(full, **_LOCOMOTION_DEMO, **(demo or {})), "full": full}
+    return {"demo": replace(full, **(_LOCOMOTION_DEMO | (demo or {}))), "full": full}
 
+
+# A logit whose log π has no tail, see `Config.replay_density`.
+_MIXTURE = {"replay_density": "mixture"}
 
 # Off-policy AIRL with SAC and SAC-MCP, and DAC with SAC and TD3, on the paper's tasks, with an
 # absorbing state where a fall ends them.
 _IMITATORS = {
     "airl": {},
+    "airl-mixture": _MIXTURE,
     "mcp-4": {"primitives": 4},
     "mcp-8": {"primitives": 8},
     "dac": {"reward": "dac"},
@@ -217,12 +221,18 @@ _ABSORBING = {
 }
 
 
-# The paper's four rewards, and DAC's. The first two contain -log π, and SAC adds α of it: to count
-# it once, either SAC has as good as no temperature (cold), or it has all of it (soft). Or SAC has
-# what it learns to need, and the reward nothing (learned).
+# The paper's four rewards, and DAC's; the four once more, with log π without its tail. The first
+# two contain -log π, and SAC adds α of it: to count it once, either SAC has as good as no
+# temperature (cold), or it has all of it (soft). Or SAC has what it learns to need, and the reward
+# nothing (learned).
 _REWARDS = {
     **{f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)},
     "dac": {"reward": "dac"},
+}
+_WITHOUT_TAIL = {
+    f"{name}-mixture": {**changes, **_MIXTURE}
+    for name, changes in _REWARDS.items()
+    if name != "dac"
 }
 _COLD = {"temperature": 1e-3, "target_entropy": None}
 _SOFT = {"temperature": 1.0, "target_entropy": None, "log_prob_in_reward": False}
@@ -360,7 +370,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_ABSORBING,
     ),
     "locomotion": Experiment(
-        "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned: 25 runs",
+        "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned: 30 runs",
         _locomotion("HalfCheetah-v5", _SMALL_MCP, temperature=None),
         SEEDS,
         variants=_SIDE_BY_SIDE,
@@ -389,7 +399,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once, too",
         _both({}, {}),
         SEEDS,
-        variants={**_REWARDS, **_ENTROPY_ONCE},
+        variants={**_REWARDS, **_ENTROPY_ONCE, **_WITHOUT_TAIL},
     ),
     "maze-penalties": Experiment(
         "Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs",
@@ -398,10 +408,10 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_PENALTIES,
     ),
     "ant-rewards": Experiment(
-        "Implementations 1 to 4 and DAC's reward on CustomAnt, from its demonstrations",
-        _locomotion(ANT),
-        SEEDS,
-        variants=_REWARDS,
+        "Implementations 1 to 4, with and without log π's tail, and DAC's reward on CustomAnt",
+        _locomotion(ANT, {"total_steps": 50_000, "eval_every": 5_000}),
+        {"demo": (0, 1, 2), "full": SEEDS["full"]},
+        variants={**_REWARDS, **_WITHOUT_TAIL},
     ),
     "maze-transfer-rewards": Experiment(
         "What a reward is worth in the other maze: from scratch or a policy, with help or alone",

@@ -25,7 +25,7 @@ from offairl_lite.discriminators import Discriminator, Reward
 from offairl_lite.evaluate import Episodes, rollout
 from offairl_lite.execution import Execution
 from offairl_lite.networks import Normaliser
-from offairl_lite.policies import Policy, unsquash
+from offairl_lite.policies import Policy, defensive_log_density, unsquash
 from offairl_lite.ppo import PPO
 from offairl_lite.replay import Batch, Replay, choose
 from offairl_lite.sac import SAC, stochastic_actor
@@ -399,7 +399,7 @@ class Trainer:
         policy = self.replay.sample(self.streams, count, self.horizon)
         coefficient = self.streams.uniform(count, 4)
         if self.discriminator.sees_policy:
-            log_probs = [self.generator.log_prob(side) for side in (expert, policy)]
+            log_probs = [self._log_density(side) for side in (expert, policy)]
             expert_log_prob, policy_log_prob = (x.split(size, 1) for x in log_probs)
         else:
             expert_log_prob = policy_log_prob = [None] * minibatches
@@ -413,6 +413,25 @@ class Trainer:
         ):
             metrics = self.discriminator.update(*minibatch)
         self.metrics.update(metrics)
+
+    def _log_density(
+        self, batch: Batch, actor_params: Float[Tensor, "S P"] | None = None
+    ) -> Float[Tensor, "S B"]:
+        """Return the log density of a batch's actions that the discriminator compares f with."""
+        log_prob = self.generator.log_prob(batch, actor_params)
+        if self.config.replay_density == "policy":
+            return log_prob
+        mixed = defensive_log_density(log_prob, self._uniform_share, self.action_dim)
+        if self.config.absorbing == "none":
+            return mixed
+        return mixed.where(~absorbing.is_absorbing(batch.obs), log_prob)
+
+    @property
+    def _uniform_share(self) -> float:
+        """Share of the warm-up among the steps that replay holds."""
+        forgotten = max(self.steps - self.config.replay_size, 0)
+        warmup = max(self.config.warmup_steps - forgotten, 0)
+        return warmup / (self.steps - forgotten)
 
     def _train_generator(self, minibatches: int, actor_params: Float[Tensor, "S P"]) -> None:
         size = self.config.batch_size
@@ -443,7 +462,7 @@ class Trainer:
         elif name == "frozen":
             reward = self.frozen_reward(batch.obs, batch.action)
         elif self.discriminator.reward_is_logit:
-            reward = self.discriminator.reward(batch, self.generator.log_prob(batch, actor_params))
+            reward = self.discriminator.reward(batch, self._log_density(batch, actor_params))
         else:
             reward = self.discriminator.reward(batch, None)
         return self.config.reward_scale * reward

@@ -39,6 +39,18 @@ def gaussian_log_density(
     return (-0.5 * z.square() - log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
 
 
+def defensive_log_density(
+    log_prob: Float[Tensor, "*batch"], uniform_share: float, action_dim: int
+) -> Float[Tensor, "*batch"]:
+    """Return log((1 - w) π + w u): of π's actions mixed with a share w of uniform ones.
+
+    u is the density on [-1, 1]^A. With w > 0 no action, however foreign to π, has a density below
+    w u: a defensive mixture (Hesterberg 1995).
+    """
+    share = log_prob.new_tensor(uniform_share)
+    return torch.logaddexp(log_prob + (-share).log1p(), share.log() - action_dim * math.log(2))
+
+
 @dataclass(frozen=True)
 class SquashedGaussian:
     """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C).

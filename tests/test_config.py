@@ -18,6 +18,7 @@ PPO = {"generator": "ppo", "update_every": 100}
         ({"penalty_on": "f"}, "penalty_on is 'f'"),
         ({"penalty_sides": "both"}, "penalty_sides is 'both'"),
         ({"log_prob_in_reward": False}, "'implementation-4' has no log π to leave out"),
+        ({"replay_density": "mixture", "log_density": "released"}, "set log_density='exact'"),
         ({"bottleneck": 0.0}, "bottleneck is 0.0"),
         ({"bottleneck": 0.5, "spectral_norm": True}, "bottleneck=0.5 and spectral_norm=True"),
         (PPO | {"bottleneck": 0.5, "reward": "gan-gcl"}, "gan-gcl judges whole episodes"),

@@ -24,9 +24,11 @@ def test_full_scale_is_the_paper_s_protocol(name):
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_demo_scale_is_small(name):
     config = EXPERIMENTS[name].configs["demo"]
-    # On-policy learning takes ten times the steps, and each of them less.
-    assert config.total_steps <= (60_000 if config.generator == "ppo" else 20_000)
-    assert len(EXPERIMENTS[name].seeds["demo"]) == 5
+    # On-policy learning takes ten times the steps, and each of them less. The ant's rewards tell
+    # nothing before 50,000 steps.
+    longer = config.generator == "ppo" or name == "ant-rewards"
+    assert config.total_steps <= (60_000 if longer else 20_000)
+    assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if name == "ant-rewards" else 5)
 
 
 def test_experts_are_three_learners_on_the_eight_tasks_of_the_paper():
@@ -72,6 +74,7 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
     experiment = find("locomotion")
     between = {
         "airl": set(),
+        "airl-mixture": {"replay_density"},
         "mcp-4": {"primitives"},
         "mcp-8": {"primitives"},
         "dac": {"reward"},

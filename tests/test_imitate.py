@@ -1,11 +1,13 @@
 """The training loop: its schedule, its reproducibility, and what it refuses."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from offairl_lite import absorbing
 from offairl_lite.config import RELEASE
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
@@ -140,6 +142,54 @@ def test_the_discriminator_is_trained_first_and_the_generator_after_it(tiny, maz
         monkeypatch.setattr(kind, "update", update)
     run(tiny, (0,), maze)
     assert order == ([Discriminator] * 100 + [SAC] * 100) * 2
+
+
+@pytest.mark.parametrize(("size", "share"), [(1000, 1 / 2), (150, 1 / 3), (100, 0.0)])
+def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
+    tiny, maze, monkeypatch, size, share
+):
+    """π is made to exclude every action, so what is left is the uniform part."""
+    seen, paid = [], []
+
+    def log_prob(self, batch, params=None):
+        return torch.full_like(batch.reward, -1e4)
+
+    def spy(record, original):
+        def called(self, *args):
+            record.append(args)
+            return original(self, *args)
+
+        return called
+
+    monkeypatch.setattr(SAC, "log_prob", log_prob)
+    monkeypatch.setattr(Discriminator, "update", spy(seen, Discriminator.update))
+    monkeypatch.setattr(Discriminator, "reward", spy(paid, Discriminator.reward))
+    config = replace(tiny, reward="implementation-1", replay_density="mixture", replay_size=size)
+    run(config, (0,), maze)
+    for densities in [(args[2], args[3]) for args in seen], [(args[1],) for args in paid]:
+        for given, w in (densities[0], 1.0), (densities[-1], share):
+            expected = max(math.log(w / 4), -1e4) if w else -1e4
+            torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
+
+
+def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
+    tiny, random_demonstrations, monkeypatch
+):
+    seen, original = [], Discriminator.update
+
+    def update(self, expert, policy, expert_log_prob, policy_log_prob, *rest):
+        seen.append((policy.obs, policy_log_prob))
+        return original(self, expert, policy, expert_log_prob, policy_log_prob, *rest)
+
+    monkeypatch.setattr(Discriminator, "update", update)
+    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    config = replace(config, replay_density="mixture")
+    run(config, (0,), random_demonstrations(HOPPER))
+    there = torch.cat([absorbing.is_absorbing(obs) for obs, _ in seen], 1)
+    density = torch.cat([log_prob for _, log_prob in seen], 1)
+    assert there.any()
+    assert (density[there] == 0).all()
+    assert density[~there].min() > math.log(0.5 / 2**3) - 1e-4
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from offairl_lite.policies import (
     MultiplicativeGaussian,
     Policy,
     SquashedGaussian,
+    defensive_log_density,
     log_tanh_slope,
     product_of_gaussians,
     unsquash,
@@ -86,6 +87,30 @@ def test_log_prob_is_scipy_s_normal_and_the_change_of_variables(mean, std):
     log_slope = -2 * (np.logaddexp(u, -u) - math.log(2))
     expected = scipy.stats.norm.logpdf(u, mean, std) - log_slope
     np.testing.assert_allclose(log_prob(actor, params, u), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 1.0])
+def test_the_defensive_density_is_the_mixture_with_the_uniform_one(share):
+    actor, params = constant_actor(0.2, 0.3)
+    a = np.linspace(-0.999, 0.999, 41)
+    log_pi = log_prob(actor, params, np.arctanh(a))
+    found = defensive_log_density(log_pi, share, 1)
+    expected = (1 - share) * log_pi.exp().numpy() + share * scipy.stats.uniform.pdf(a, -1, 2)
+    np.testing.assert_allclose(found.exp(), expected, rtol=1e-9)
+
+    def density(a):
+        log_pi = log_prob(actor, params, [math.atanh(a)])
+        return defensive_log_density(log_pi, share, 1).exp().item()
+
+    assert scipy.integrate.quad(density, -1, 1, limit=200)[0] == pytest.approx(1, abs=1e-7)
+
+
+def test_the_defensive_density_has_no_tail_however_foreign_the_action():
+    log_pi = torch.tensor([-1e6, -1e3, -10.0])
+    found = defensive_log_density(log_pi, 0.01, 6)
+    torch.testing.assert_close(found[:2], torch.full((2,), math.log(0.01 / 2**6)))
+    assert (found >= math.log(0.01 / 2**6)).all()
+    assert torch.equal(defensive_log_density(log_pi, 0.0, 6), log_pi)
 
 
 def test_log_prob_is_summed_over_actions_and_follows_the_state():
