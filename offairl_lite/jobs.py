@@ -163,11 +163,18 @@ def execute(
         disable=not progress,
     )
 
+    shown = None
+
     def show() -> None:
+        nonlocal shown
+        before = shown
         counts = f"{done} done, {len(running)} running, {len(failures)} failed"
         bar.set_postfix_str(counts, refresh=False)
         bar.update(sum(steps.values()) - bar.n)
-        bar.refresh()
+        shown = bar.n, counts
+        # A clock that ticks is welcome on a terminal, and fills a log file.
+        if sys.stderr.isatty() or shown != before:
+            bar.refresh()
 
     if not waiting:
         show()

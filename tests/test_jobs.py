@@ -158,6 +158,16 @@ def test_all_is_done_and_what_is_finished_is_skipped(engine, prepare, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_a_log_file_has_a_line_for_each_change_and_not_for_each_glance(
+    prepare, capsys, monkeypatch
+):
+    monkeypatch.setattr(jobs, "POLL_S", 0.001)
+    todo, command = prepare(one="")
+    assert execute(todo, "processes", 1, command=command) == []
+    # The bar, one job running, four steps of its curve (each may draw twice), done, and closed.
+    assert capsys.readouterr().err.count("\r") <= 12
+
+
 def test_a_failure_is_tried_once_more_then_reported(engine, prepare, capsys):
     todo, command = prepare(fine="", hiccup="hiccup", broken="broken")
     (failure,) = execute(todo, engine, 2, command=command)
