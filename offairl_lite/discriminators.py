@@ -326,8 +326,9 @@ class Discriminator:
         Args:
             expert: demonstrations.
             policy: transitions from replay.
-            expert_log_prob: log π of the expert's actions; None for GAIL and DAC.
-            policy_log_prob: log π of the policy's actions; None for GAIL and DAC.
+            expert_log_prob: log π of the expert's actions, or what stands for it, see
+                `Config.replay_density`; None for GAIL and DAC.
+            policy_log_prob: the same of the policy's actions.
             coefficient: uniform in [0, 1): where between both the penalty is taken. The first
                 column serves for all parts of a transition, or, where the penalty is on the
                 probability, each column for its own (s, a, s', log π).
