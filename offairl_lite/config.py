@@ -150,6 +150,10 @@ class Config:
     reward_hidden: tuple[int, ...] = (100, 100)
     """Hidden layers of r."""
 
+    reward_sees: tuple[int, ...] | None = None
+    """Which numbers of an observation r sees, by their indices; actions, where it sees actions, it
+    sees whole. None: all of them. V sees all of them in any case."""
+
     shaping_hidden: tuple[int, ...] = (100, 100)
     """Hidden layers of V."""
 
@@ -278,11 +282,24 @@ class Config:
             raise ValueError(
                 f"bottleneck={self.bottleneck} and spectral_norm=True are alternatives: set one"
             )
+        if self.reward_sees is not None:
+            self._check_reward_sees()
         if self.bottleneck is not None and self.reward == "gan-gcl":
             raise ValueError(
                 f"bottleneck={self.bottleneck} is for single transitions, and gan-gcl judges whole "
                 "episodes: set bottleneck=None"
             )
+
+    def _check_reward_sees(self) -> None:
+        given = f"reward_sees is {self.reward_sees}"
+        if not self.reward_sees or min(self.reward_sees) < 0:
+            raise ValueError(f"{given}; expected indices from 0 on, or None")
+        if self.spectral_norm or self.bottleneck is not None:
+            raise ValueError(
+                f"{given}, which is for plain networks: set spectral_norm=False, bottleneck=None"
+            )
+        if self.absorbing != "none":
+            raise ValueError(f"{given}, without the absorbing state: set absorbing='none'")
 
     def _check_ppo(self) -> None:
         if self.update_every is None or self.update_every > self.replay_size:

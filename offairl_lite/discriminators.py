@@ -216,6 +216,16 @@ class Discriminator:
         self.value_params = self.value_form.init(streams)
         self.reward_optimizer = Adam(self.reward_params, config.discriminator_learning_rate)
         self.value_optimizer = Adam(self.value_params, config.discriminator_learning_rate)
+        # What r does not see, its first layer ignores.
+        self.mask = None
+        if config.reward_sees is not None:
+            if max(config.reward_sees) >= obs_dim:
+                raise ValueError(
+                    f"reward_sees is {config.reward_sees}; observations have {obs_dim} numbers, so "
+                    f"expected are indices from 0 to {obs_dim - 1}"
+                )
+            seen = [*config.reward_sees, *range(obs_dim, inputs)]
+            self.mask = self.reward_net.mask(seen).to(streams.device)
         # What else an update changes, where there is such: the singular vectors of r's and of V's
         # weights, and the multiplier β of the bottleneck.
         self.vectors = self.multiplier = None
@@ -252,6 +262,8 @@ class Discriminator:
     ) -> Float[Tensor, "S Q"]:
         if self.vectors is not None:
             return form.spectrally_normalised(params, self.vectors[part])
+        if self.mask is not None and part == 0:
+            return params * self.mask
         return params if self.multiplier is None else form.at_mean(params)
 
     def f(

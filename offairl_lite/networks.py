@@ -91,6 +91,13 @@ class StackedMLP:
             for bias, weight, (i, o) in zip(parts[::2], parts[1::2], shapes, strict=True)
         ]
 
+    def mask(self, inputs: Sequence[int]) -> Float[Tensor, "1 P"]:
+        """Return what to multiply `params` with for an output that sees these inputs alone."""
+        mask = torch.ones(1, self.num_params)
+        hidden = [i for i in range(self.sizes[0]) if i not in inputs]
+        self.layers(mask)[0][1][:, hidden] = 0
+        return mask
+
     def __call__(
         self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
     ) -> Float[Tensor, "S B out"]:
