@@ -32,6 +32,10 @@ CONFIGS = {
     "released r(s)": replace(RELEASE, **SMALL),
     "released r(s, a)": replace(RELEASE, reward="implementation-3", **SMALL),
     "dac on probability": replace(CORRECTED, reward="dac", penalty_on="probability", **SMALL),
+    "r(s) of one number": replace(CORRECTED, reward_sees=(1,), **SMALL),
+    "r(s, a) of two numbers": replace(
+        CORRECTED, reward="implementation-3", reward_sees=(0, 2), **SMALL
+    ),
     "one-sided r(s)": replace(CORRECTED, penalty_sides="one", **SMALL),
     "spectral r(s, a)": replace(CORRECTED, reward="implementation-3", spectral_norm=True, **SMALL),
     "bottleneck r(s)": replace(CORRECTED, bottleneck=0.5, bottleneck_size=3, **SMALL),
@@ -512,6 +516,35 @@ def test_the_bottleneck_holds_the_divergence_at_its_limit():
     assert (metrics["excess"].abs() < 0.25).all()
     assert (unbounded["excess"] + 1e6 > 2).all()
     assert (metrics["accuracy"] > 0.7).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "seen"), [("r(s) of one number", [1]), ("r(s, a) of two numbers", [0, 2, 3, 4])]
+)
+def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, seen):
+    discriminator = make(replace(CONFIGS[name], **LEARNS), dtype=torch.float32)
+    for _ in range(20):
+        discriminator.update(*data(dtype=torch.float32))
+    reward = discriminator.frozen
+    x = Streams((3, 4)).normal(1, OBS + ACT)
+    for i in range(OBS + (0 if discriminator.state_only else ACT)):
+        other = x.clone()
+        other[..., i] += 1
+        before, after = (reward(y[..., :OBS], y[..., OBS:]) for y in (x, other))
+        assert bool((before != after).all()) == (i in seen), i
+        assert bool((before == after).all()) == (i not in seen), i
+    # V sees everything.
+    state = Batch(*(part.float() for part in data()[0])).obs
+    f = [
+        discriminator.f(state, state[..., :ACT], state + shift * torch.eye(OBS)[0])
+        for shift in (0, 1)
+    ]
+    assert (f[0] != f[1]).all()
+
+
+def test_r_cannot_see_what_is_not_there():
+    with pytest.raises(ValueError, match=r"reward_sees is \(0, 3\); .* have 3 numbers"):
+        make(replace(CONFIGS["r(s)"], reward_sees=(0, 3)))
 
 
 def test_a_reward_of_the_state_needs_no_action():
