@@ -127,6 +127,11 @@ class Config:
     reward_scale: float = 1.0
     """Factor on the generator's reward; the returns reported are without it."""
 
+    centre_reward: bool = False
+    """Whether the generator's reward is paid without its mean over the replayed transitions of each
+    chunk of updates. A learned reward has an arbitrary constant, which critics must first learn,
+    and again whenever it drifts. Where episodes can end the constant matters: set `absorbing`."""
+
     log_prob_in_reward: bool = True
     """Whether Implementations 1 and 2 pay f - log π. False: they pay f, and -log π is left to the
     generator's own entropy term, whose `temperature` is then to be larger by 1."""
@@ -311,6 +316,8 @@ class Config:
             raise ValueError("temperature is None, and ppo does not learn it: set a small number")
         if self.absorbing != "none":
             raise ValueError(f"absorbing={self.absorbing!r} is not for ppo: set absorbing='none'")
+        if self.centre_reward:
+            raise ValueError("centre_reward=True is for replay, and ppo has none: set it to False")
         if self.start_steps:
             raise ValueError(
                 f"start_steps is {self.start_steps}, and ppo learns from every step: set it to 0"

@@ -438,6 +438,9 @@ class Trainer:
         batch = self.replay.sample(self.streams, minibatches * size)
         reward = self._reward(batch, actor_params)
         absorbing_reward = self._absorbing_reward(batch, actor_params)
+        if self.config.centre_reward:
+            mean = reward.mean(1, keepdim=True)
+            reward, absorbing_reward = reward - mean, absorbing_reward - mean
         noise = self.streams.normal(2, minibatches * size, self.action_dim).transpose(0, 1)
         for minibatch, r, eps in zip(
             batch.split(size), reward.split(size, 1), noise.split(size, 2), strict=True

@@ -48,6 +48,7 @@ PPO = {"generator": "ppo", "update_every": 100}
         ({"start_steps": -1}, "start_steps is -1"),
         ({"start_steps": 100, "warmup_steps": 100}, "start_steps is 100; expected .* the 100 warm"),
         (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
+        (PPO | {"centre_reward": True}, "centre_reward=True is for replay"),
         ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),

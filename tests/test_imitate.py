@@ -172,6 +172,49 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
             torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
 
 
+def test_a_centred_reward_has_no_constant(tiny):
+    """With another constant in the reward it is the same run, but for rounding."""
+    config, reward = replace(tiny, reward="frozen", centre_reward=True), frozen_reward(1)
+    shifted = replace(reward, params=reward.params.clone())
+    shifted.net.layers(shifted.params)[-1][0].add_(3)
+    obs = Streams((0,)).normal(5, 3)
+    torch.testing.assert_close(shifted(obs), reward(obs) + 3)
+
+    def weights(reward, **changes):
+        trainer = Trainer(replace(config, **changes), (0,), None, reward)
+        until(trainer, lambda t: t.trained == 100)
+        return trainer.generator.critic_params.detach()
+
+    torch.testing.assert_close(weights(shifted), weights(reward), rtol=0, atol=1e-4)
+    plain = [weights(r, centre_reward=False) for r in (shifted, reward)]
+    assert (plain[0] - plain[1]).abs().max() > 0.01
+
+
+def test_the_absorbing_state_s_reward_is_centred_with_the_others(
+    tiny, random_demonstrations, monkeypatch
+):
+    seen = {False: [], True: []}
+    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="analytic")
+    for centred, pairs in seen.items():
+        original = SAC.update
+
+        def update(self, batch, reward, absorbing_reward, noise, pairs=pairs, original=original):
+            pairs.append((reward, absorbing_reward))
+            return original(self, batch, reward, absorbing_reward, noise)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(SAC, "update", update)
+            trainer = Trainer(
+                replace(config, centre_reward=centred), (0,), random_demonstrations(HOPPER)
+            )
+            until(trainer, lambda t: t.trained == 50)
+    (plain, there), (centred, centred_there) = (
+        (torch.cat([r for r, _ in pairs], 1), pairs[0][1]) for pairs in seen.values()
+    )
+    torch.testing.assert_close(centred, plain - plain.mean(1, keepdim=True))
+    torch.testing.assert_close(centred_there, there - plain.mean(1, keepdim=True))
+
+
 def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
     tiny, random_demonstrations, monkeypatch
 ):
