@@ -55,7 +55,7 @@ def calibrate():
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item):
+def pytest_runtest_protocol(item):
     """Measure how fast the machine is before and after a chapter, for the chapter's budget.
 
     It is kept in the executed notebook, where the chapter's own times are.
