@@ -219,11 +219,6 @@ class Discriminator:
         # What r does not see, its first layer ignores.
         self.mask = None
         if config.reward_sees is not None:
-            if max(config.reward_sees) >= obs_dim:
-                raise ValueError(
-                    f"reward_sees is {config.reward_sees}; observations have {obs_dim} numbers, so "
-                    f"expected are indices from 0 to {obs_dim - 1}"
-                )
             seen = [*config.reward_sees, *range(obs_dim, inputs)]
             self.mask = self.reward_net.mask(seen).to(streams.device)
         # What else an update changes, where there is such: the singular vectors of r's and of V's

@@ -136,6 +136,11 @@ class Trainer:
         self.env_obs_dim = self.env.single_observation_space.shape[0]
         self.action_dim = self.env.single_action_space.shape[0]
         self.obs_dim = self.env_obs_dim + (config.absorbing != "none")
+        if config.reward_sees is not None and max(config.reward_sees) >= self.obs_dim:
+            raise ValueError(
+                f"reward_sees is {config.reward_sees}; observations of {config.env_id} have "
+                f"{self.obs_dim} numbers, so expected are indices from 0 to {self.obs_dim - 1}"
+            )
         if reward is not None and reward.normaliser.mean.shape[-1] != self.obs_dim:
             raise ValueError(
                 f"the frozen reward sees {reward.normaliser.mean.shape[-1]} numbers; with "

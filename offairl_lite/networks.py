@@ -94,8 +94,8 @@ class StackedMLP:
     def mask(self, inputs: Sequence[int]) -> Float[Tensor, "1 P"]:
         """Return what to multiply `params` with for an output that sees these inputs alone."""
         mask = torch.ones(1, self.num_params)
-        hidden = [i for i in range(self.sizes[0]) if i not in inputs]
-        self.layers(mask)[0][1][:, hidden] = 0
+        _, weight = self.layers(mask)[0]
+        weight.zero_()[:, list(inputs)] = 1
         return mask
 
     def __call__(

@@ -542,11 +542,6 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
     assert (f[0] != f[1]).all()
 
 
-def test_r_cannot_see_what_is_not_there():
-    with pytest.raises(ValueError, match=r"reward_sees is \(0, 3\); .* have 3 numbers"):
-        make(replace(CONFIGS["r(s)"], reward_sees=(0, 3)))
-
-
 def test_a_reward_of_the_state_needs_no_action():
     discriminator, batch = make(CONFIGS["r(s)"]), data()[0]
     expected = discriminator.reward(batch, None)

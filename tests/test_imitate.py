@@ -168,7 +168,7 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
     run(config, (0,), maze)
     for densities in [(args[2], args[3]) for args in seen], [(args[1],) for args in paid]:
         for given, w in (densities[0], 1.0), (densities[-1], share):
-            expected = max(math.log(w / 4), -1e4) if w else -1e4
+            expected = math.log(w / 4) if w else -1e4
             torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
 
 
@@ -592,6 +592,11 @@ def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
     right = replace(tiny, env_id="offairl/PointMazeRight-v0")
     with pytest.raises(ValueError, match=r"demonstrations of .*Left-v0 for a run on .*Right-v0"):
         Trainer(right, (0,), maze)
+
+
+def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
+    with pytest.raises(ValueError, match=r"reward_sees is \(0, 3\); .* have 3 numbers"):
+        Trainer(replace(tiny, reward_sees=(0, 3)), (0,), maze)
 
 
 def test_a_frozen_reward_of_other_observations_is_refused(tiny):
