@@ -245,8 +245,8 @@ def next_block(trainer: Trainer) -> None:
 def estimate(config: Config, members: int) -> float:
     """Return about how many seconds a run takes here, by one process on one core, not compiled.
 
-    A block of training and an evaluation are timed, with random demonstrations where a reward is
-    learned; a policy that keeps on its legs for longer takes longer to evaluate.
+    A block of training and an episode's evaluation are timed, with random demonstrations where a
+    reward is learned; a policy that keeps on its legs for longer takes longer to evaluate.
     """
     every = config.update_every if config.generator == "ppo" else 20
     short = replace(
@@ -258,6 +258,7 @@ def estimate(config: Config, members: int) -> float:
         update_every=every,
         total_steps=10**9,
         eval_every=10**9,
+        eval_episodes=1,
         replay_size=max(10_000, every),
     )
     trainer = Trainer(short, range(members), random_demonstrations(config.env_id))
@@ -267,7 +268,8 @@ def estimate(config: Config, members: int) -> float:
     trained = time.perf_counter()
     trainer.evaluate()
     evaluated = time.perf_counter()
-    per_step = (trained - starts) / every + (evaluated - trained) / config.eval_every
+    evaluation = (evaluated - trained) * config.eval_episodes
+    per_step = (trained - starts) / every + evaluation / config.eval_every
     return config.total_steps * per_step
 
 

@@ -232,11 +232,12 @@ def test_the_cores_are_given_back():
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
-def test_a_run_is_estimated_from_a_block_and_an_evaluation(tiny, monkeypatch, changes):
+def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monkeypatch, changes):
     small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
     config = replace(tiny, **small, **changes)
     # A clock that goes on by a second whenever it is looked at.
     monkeypatch.setattr(bench.time, "perf_counter", count().__next__)
     every = changes.get("update_every", 20)
-    seconds = config.total_steps / every + config.total_steps / config.eval_every
+    evaluations = config.total_steps / config.eval_every
+    seconds = config.total_steps / every + config.eval_episodes * evaluations
     assert bench.estimate(config, 2) == pytest.approx(seconds)
