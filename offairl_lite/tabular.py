@@ -435,9 +435,9 @@ def log_likelihood(
 
     with V and ρ of the soft optimum (`"causal"`) or of the distribution over paths (`"paths"`). It
     is concave. In the causal form it is Σ_t γ^t log π(a_t | s_t) if ρ_E is the occupancy of some
-    policy; counts of sampled demonstrations are that only on average where the dynamics or the first
-    state are random, and L is then the dual of matching them. In the form of paths a constant is left out, the logarithm of
-    the demonstrated Π p(s' | s, a).
+    policy; counts of sampled demonstrations are that only on average where the dynamics or the
+    first state are random, and L is then the dual of matching them. In the form of paths a constant
+    is left out, the logarithm of the demonstrated Π p(s' | s, a).
 
     Args:
         mdp: the process; for `"paths"` with a horizon and discount 1.
