@@ -23,16 +23,18 @@ from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
 
 
-def list_experiments(*, times: bool = False) -> None:
+def list_experiments(name: Positional[str | None] = None, *, times: bool = False) -> None:
     """Show the experiments, and the tasks for which experts are shipped.
 
     Args:
+        name: of the only experiment to show.
         times: try each for a moment, minutes in all, and say how long a run of it takes about, here
             and on one core, not compiled. Of those that are several runs it is the first.
     """
     print("Experiments (offairl run NAME):")
-    for name, experiment in EXPERIMENTS.items():
-        print(f"  {name:16} {experiment.about}")
+    shown = EXPERIMENTS if name is None else {name: find(name)}
+    for title, experiment in shown.items():
+        print(f"  {title:16} {experiment.about}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
             runs_of_it = [replace(config, **c) for c in experiment.variants.values()] or [config]
@@ -47,6 +49,8 @@ def list_experiments(*, times: bool = False) -> None:
                 *(f"  {'':16}   {line}" for line in ["--only some of these runs:", *names]),
                 sep="\n",
             )
+    if name is not None:
+        return
     print("\nExperts (offairl demos ENV_ID):")
     for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
         policy = Policy.load(path)

@@ -23,8 +23,8 @@ class Execution:
 
     Args:
         device: `cpu` or `cuda`, where networks live.
-        threads: of PyTorch and of the physics. One is best for anything that fits a core's cache;
-            a second core does more good with a second process.
+        threads: of PyTorch, in the whole process, and of the physics. One is best for anything that
+            fits a core's cache; a second core does more good with a second process.
         compile: whether updates are compiled, which takes a C++ compiler and about a minute.
 
     Raises:

@@ -111,6 +111,7 @@ class Trainer:
     ) -> None:
         self.config, self.seeds, self.execution = config, tuple(seeds), execution
         self.device = torch.device(execution.device)
+        torch.set_num_threads(execution.threads)
         self.frozen_reward = None if reward is None else reward.to(self.device)
         if not seeds:
             raise ValueError("no seeds: give one for each member of the population")

@@ -198,7 +198,6 @@ def work(
             f"{reached} on"
         )
     execution = Execution(**plan.execution)
-    torch.set_num_threads(execution.threads)
     if left and plan.demonstrations is not None:
         demonstrations = _demonstrations(folder, plan, demonstrations)
     for shard in left:
@@ -254,7 +253,6 @@ def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tu
     if not 1 <= evaluations <= len(steps):
         raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
     last = steps[evaluations - 1]
-    torch.set_num_threads(execution.threads)
     shown = None if plan.demonstrations is None else _demonstrations(folder, plan)
     inherited = _inherited(folder, plan, shard)
     trainer, again = Trainer(plan.config, shard, shown, **inherited, execution=execution), []

@@ -58,6 +58,14 @@ def test_list_shows_experiments_and_experts(capsys, shipped_experts):
     assert "offairl/PointMazeLeft-v0   2 policies" in out
 
 
+def test_list_shows_one_experiment_if_named(capsys):
+    offairl("list maze-mcp")
+    out = capsys.readouterr().out
+    assert "  maze-mcp " in out
+    assert "maze-dac" not in out
+    assert "Experts" not in out
+
+
 def test_list_says_how_long_a_run_takes_if_asked(capsys, monkeypatch):
     asked = []
 

@@ -11,6 +11,7 @@ from offairl_lite import absorbing
 from offairl_lite.config import RELEASE
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
+from offairl_lite.execution import Execution
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
 from offairl_lite.policies import Policy, SquashedGaussian
@@ -64,6 +65,16 @@ def assert_same(one, other):
 def assert_same_rows(one, other):
     """The same evaluations, bit for bit; NaN equals NaN."""
     assert str(one) == str(other)
+
+
+def test_a_run_has_the_threads_it_asks_for(tiny, maze):
+    before = torch.get_num_threads()
+    try:
+        for threads in (2, 1):
+            Trainer(tiny, (0,), maze, execution=Execution(threads=threads))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_same_seeds_same_run(tiny, maze):
