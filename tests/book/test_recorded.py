@@ -34,6 +34,8 @@ VARIED = {
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
     "locomotion-released-loss-demo/HalfCheetah-airl": {"policy_in_logit"},
     "locomotion-wide-demo/HalfCheetah-airl": {"log_std_range"},
+    "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
+    "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
     "locomotion-centred-demo/HalfCheetah-airl": {"centre_reward"},
     "locomotion-centred-demo/HalfCheetah-airl-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
