@@ -31,6 +31,8 @@ VARIED = {
     "maze-imitation-raw-demo": {"normalise"},
     "maze-imitation-released-loss-demo": {"policy_in_logit"},
     "maze-imitation-right-demo": {"env_id"},
+    "marsh-airl-memory-demo/all": {"env_id"},
+    "marsh-airl-ppo-demo/state": {"env_id"},
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
     "locomotion-released-loss-demo/HalfCheetah-airl": {"policy_in_logit"},
     "locomotion-wide-demo/HalfCheetah-airl": {"log_std_range"},
