@@ -90,7 +90,7 @@ class Plan:
         if not path.is_file():
             raise FileNotFoundError(
                 f"there is no run in {folder.absolute()}: it has no config.json; `offairl run NAME "
-                f"--out {folder}` starts one"
+                f"--out {folder}` starts one (chapters run in the folder `book`, beside `records`)"
             )
         fields = read_json(path)
         require_format(path, fields.pop("format", 1))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -140,6 +141,12 @@ def test_a_folder_that_is_no_record_is_refused(record, name, message):
     (record / name).unlink()
     with pytest.raises(FileNotFoundError, match=message):
         read(record)
+
+
+def test_a_chapter_that_is_run_from_another_folder_is_told_where_to_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match=f"{tmp_path}/records.* run in the folder `book`"):
+        read(Path("records/maze-imitation-demo"))
 
 
 def test_a_configuration_of_another_version_is_refused(record):
