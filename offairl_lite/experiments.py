@@ -531,14 +531,22 @@ _MUJOCO = ("HalfCheetah", "Ant", "Hopper", "Walker2d")
 FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "reward variants": {
         panel: {f"Implementation {n}": f"ant-rewards/implementation-{n}" for n in (1, 2, 3, 4)}
+        | {"Implementation 4, replay density": "ant-rewards/implementation-4-mixture"}
         for panel in ("CustomAnt, true return", "CustomAnt, learned return")
     },
     "off-policy AIRL and DAC": {
-        task: {"off-policy AIRL": f"locomotion/{task}-airl", "DAC": f"locomotion/{task}-dac"}
+        task: {
+            "off-policy AIRL": f"locomotion/{task}-airl",
+            "off-policy AIRL, replay density": f"locomotion/{task}-airl-mixture",
+            "DAC": f"locomotion/{task}-dac",
+        }
         for task in _MUJOCO
     },
     "imitation and transfer": {
-        "CustomAnt": {"off-policy AIRL": "locomotion/CustomAnt-airl"},
+        "CustomAnt": {
+            "off-policy AIRL": "locomotion/CustomAnt-airl",
+            "off-policy AIRL, replay density": "locomotion/CustomAnt-airl-mixture",
+        },
         "PointMazeLeft": {"off-policy AIRL": "maze-imitation"},
         "DisabledAnt": {
             "policy kept": "ant-transfer/policy",
@@ -589,6 +597,7 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """The paper's figures of results (Arnob 2020): figure, panel, curve, and the run that it shows.
 
-The paper's random starts are by an expert; those by the imitator stand beside them. DAC on Hopper
-is an experiment of its own, with the α of the paper.
+Beside the exact log π of the paper's logit stands that of the replay's density, without its tail
+(`Config.replay_density`). The paper's random starts are by an expert; those by the imitator stand
+beside them. DAC on Hopper is an experiment of its own, with the α of the paper.
 """
