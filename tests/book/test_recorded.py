@@ -41,9 +41,19 @@ VARIED = {
     "locomotion-centred-demo/HalfCheetah-airl": {"centre_reward"},
     "locomotion-centred-demo/HalfCheetah-airl-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
-    "ant-transfer-demo/velocity-centred/scratch": {"centre_reward"},
-    "ant-transfer-demo/velocity-centred/policy": {"centre_reward"},
-    "ant-transfer-demo/state-centred/scratch": {"centre_reward"},
+    "ant-transfer-demo/true/scratch": {"reward"},
+    **{
+        f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
+        for reward in ("state", "velocity")
+        for arm in (
+            "scratch",
+            "scratch-released-order",
+            "policy",
+            "policy-released-order",
+            "policy-own-starts",
+            "policy-expert-starts",
+        )
+    },
     # On-policy methods take longer.
     **{
         f"hopper-gail-demo/{name}": {"eval_every"}
