@@ -41,6 +41,7 @@ VARIED = {
     "locomotion-centred-demo/HalfCheetah-airl": {"centre_reward"},
     "locomotion-centred-demo/HalfCheetah-airl-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
+    "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
