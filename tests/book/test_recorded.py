@@ -60,6 +60,12 @@ VARIED = {
         f"hopper-gail-demo/{name}": {"eval_every"}
         for name in ("survival", "termination", "log-odds")
     },
+    # Ten times as long.
+    **{
+        f"locomotion-demo/{task}-{name}": {"eval_every"}
+        for task in ("HalfCheetah", "Hopper")
+        for name in ("airl", "airl-mixture", "dac")
+    },
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
