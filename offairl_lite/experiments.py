@@ -123,10 +123,12 @@ _FEW: Mapping[Scale, tuple[int, ...]] = {"demo": (0, 1, 2), "full": SEEDS["full"
 _VELOCITY = (13, 14, 15)
 
 # Off-policy AIRL with SAC and SAC-MCP, and DAC with SAC and TD3, on the paper's tasks, with an
-# absorbing state where a fall ends them.
+# absorbing state where a fall ends them. AIRL with α = 1, the temperature for which its logit is
+# derived, too: at any other, a step of life is paid by the unit of actions.
 _IMITATORS = {
     "airl": {},
     "airl-mixture": _MIXTURE,
+    "airl-soft": {**_MIXTURE, "temperature": 1.0},
     "mcp-4": {"primitives": 4},
     "mcp-8": {"primitives": 8},
     "dac": {"reward": "dac"},
@@ -376,7 +378,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_ABSORBING,
     ),
     "locomotion": Experiment(
-        "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned: 30 runs",
+        "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned or 1: 35 runs",
         _locomotion("HalfCheetah-v5", _SMALL_MCP, temperature=None),
         SEEDS,
         variants=_SIDE_BY_SIDE,
@@ -538,6 +540,7 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         task: {
             "off-policy AIRL": f"locomotion/{task}-airl",
             "off-policy AIRL, replay density": f"locomotion/{task}-airl-mixture",
+            "the same, α = 1": f"locomotion/{task}-airl-soft",
             "DAC": f"locomotion/{task}-dac",
         }
         for task in _MUJOCO
@@ -598,6 +601,7 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 """The paper's figures of results (Arnob 2020): figure, panel, curve, and the run that it shows.
 
 Beside the exact log π of the paper's logit stands that of the replay's density, without its tail
-(`Config.replay_density`). The paper's random starts are by an expert; those by the imitator stand
-beside them. DAC on Hopper is an experiment of its own, with the α of the paper.
+(`Config.replay_density`), and the same with the temperature of the logit, 1. The paper's random
+starts are by an expert; those by the imitator stand beside them. DAC on Hopper is an experiment of
+its own, with the α of the paper.
 """

@@ -87,6 +87,7 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
     between = {
         "airl": set(),
         "airl-mixture": {"replay_density"},
+        "airl-soft": {"replay_density", "temperature"},
         "mcp-4": {"primitives"},
         "mcp-8": {"primitives"},
         "dac": {"reward"},

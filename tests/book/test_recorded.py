@@ -64,8 +64,9 @@ VARIED = {
     **{
         f"locomotion-demo/{task}-{name}": {"eval_every"}
         for task in ("HalfCheetah", "Hopper")
-        for name in ("airl", "airl-mixture", "dac")
+        for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
+    "locomotion-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
