@@ -86,7 +86,9 @@ class Config:
 
     temperature: float | None = 0.2
     """SAC's α, and the weight of the entropy in PPO's loss. None, for SAC: learned from 0.2 on, for
-    a policy entropy of `target_entropy`."""
+    a policy entropy of `target_entropy`. AIRL's logit f - log π is derived for 1. Where episodes
+    can end, Implementations 3 and 4 need it: at another temperature the unit of actions decides
+    whether a step of life is worth more than the end."""
 
     target_entropy: float | None = None
     """Entropy, in nats, that a learned temperature holds. None: minus the number of actions."""
