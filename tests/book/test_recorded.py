@@ -66,6 +66,7 @@ VARIED = {
         for task in ("HalfCheetah", "Hopper")
         for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
+    "locomotion-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
     "locomotion-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
