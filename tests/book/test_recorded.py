@@ -66,6 +66,8 @@ VARIED = {
         for task in ("HalfCheetah", "Hopper")
         for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
+    "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
+    "locomotion-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
     "locomotion-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
     "locomotion-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     # The shipped experts are trained for longer, and evaluated less often.
