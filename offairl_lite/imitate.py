@@ -6,9 +6,11 @@ discriminator's part falls away and the rest is the same. So it is with PPO, but
 the block of steps just taken, where the others learn from replay.
 """
 
+import logging
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -31,6 +33,8 @@ from offairl_lite.replay import Batch, Replay, choose
 from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 from offairl_lite.td3 import TD3
+
+log = logging.getLogger(__name__)
 
 CHUNK = 50
 """Minibatches that are gathered, and given log π or rewards, in one pass."""
@@ -76,6 +80,17 @@ class Run:
             column = np.searchsorted(self.steps, row.step)
             table[self.seeds.index(row.seed), column] = row.mean_return
         return table
+
+
+@cache
+def _say_that_ends_matter(env_id: str) -> None:
+    """Log, once, that what the end of an episode is worth has been left to chance."""
+    log.warning(
+        "An episode of %s has terminated, and absorbing is 'none': the constant of the learned "
+        "reward, which nobody chose, then decides between a long life and a short one. Set "
+        "absorbing='bootstrap', and temperature=1 for Implementations 3 and 4 (chapter 7).",
+        env_id,
+    )
 
 
 class Trainer:
@@ -319,6 +334,9 @@ class Trainer:
 
     def _store(self, batch: Batch, members: Int[Tensor, "M"]) -> None:
         if self.config.absorbing == "none":
+            off_policy = self.config.generator != "ppo"
+            if off_policy and self.config.learns_reward and batch.terminated.any():
+                _say_that_ends_matter(self.config.env_id)
             return self.replay.add(batch, members)
         batch = absorbing.rewrite(batch)
         self.replay.add(batch, members)

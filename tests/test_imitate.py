@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from offairl_lite import absorbing
+from offairl_lite import absorbing, imitate
 from offairl_lite.config import RELEASE
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
@@ -224,6 +224,28 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
     )
     torch.testing.assert_close(centred, plain - plain.mean(1, keepdim=True))
     torch.testing.assert_close(centred_there, there - plain.mean(1, keepdim=True))
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({}, True),
+        ({"absorbing": "bootstrap"}, False),
+        ({"reward": "environment"}, False),
+        ({**ON_POLICY, "reward": "gail-survival"}, False),
+    ],
+)
+def test_who_leaves_the_end_of_episodes_to_chance_is_told_once(
+    tiny, random_demonstrations, caplog, changes, told
+):
+    imitate._say_that_ends_matter.cache_clear()
+    config = replace(tiny, **{"env_id": HOPPER, "update_every": 50, **changes})
+    shown = random_demonstrations(HOPPER) if config.learns_reward else None
+    run(config, (0, 1), shown)
+    assert len(caplog.messages) == told
+    for message in caplog.messages:
+        assert "An episode of Hopper-v5 has terminated" in message
+        assert "Set absorbing='bootstrap'" in message
 
 
 def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
