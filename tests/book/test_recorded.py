@@ -63,7 +63,7 @@ VARIED = {
     # Ten times as long.
     **{
         f"locomotion-demo/{task}-{name}": {"eval_every"}
-        for task in ("HalfCheetah", "Hopper")
+        for task in ("HalfCheetah", "Hopper", "Walker2d")
         for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
     "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
