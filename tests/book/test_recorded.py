@@ -66,6 +66,11 @@ VARIED = {
         for task in ("HalfCheetah", "Hopper", "Walker2d")
         for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
+    "locomotion-demo/HalfCheetah-dac-td3": {"eval_every"},
+    **{
+        f"locomotion-light-demo/{run}": {"eval_every", "gradient_penalty"}
+        for run in ("HalfCheetah-airl-soft",)
+    },
     "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
     "locomotion-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
     "locomotion-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
