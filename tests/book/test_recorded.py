@@ -69,7 +69,7 @@ VARIED = {
     "locomotion-demo/HalfCheetah-dac-td3": {"eval_every"},
     **{
         f"locomotion-light-demo/{run}": {"eval_every", "gradient_penalty"}
-        for run in ("HalfCheetah-airl-soft",)
+        for run in ("HalfCheetah-airl-mixture", "HalfCheetah-airl-soft", "Hopper-airl-soft")
     },
     "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
     "locomotion-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
