@@ -231,7 +231,12 @@ def make_trainer(options: Options, learner: Learner, population: int, every: int
         config,
         range(population),
         random_demonstrations(TASK),
-        execution=Execution(options.device, options.threads, options.compile and learner != DEMO),
+        execution=Execution(
+            options.device,
+            options.threads,
+            options.compile and learner != DEMO,
+            onednn=options.device == "cpu" and learner != DEMO,
+        ),
     )
 
 
@@ -316,7 +321,7 @@ def our_products(options: Options, learner: Learner, population: int) -> Contest
     trainer = make_trainer(replace(options, compile=False), learner, population, CHUNK)
     with Products() as products:
         next_block(trainer)
-    return Contestant(products.again, products.flop)
+    return Contestant(trainer.execution.widen(products.again), products.flop)
 
 
 def our_steps(options: Options, learner: Learner) -> Contestant:

@@ -17,7 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from offairl_lite import demonstrations, jobs, logs, records, runs, scale, sweep, video
 from offairl_lite.bench import Options, estimate, measure, table
 from offairl_lite.config import Config
-from offairl_lite.execution import Execution, compiles, is_large
+from offairl_lite.execution import Execution, fitting, is_large
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
@@ -216,7 +216,7 @@ def _run_command(name: str, size: Scale):
             processes = min(os.cpu_count() or 1, len(seeds)) if one_a_core else 1
         if processes < 1:
             raise ValueError(f"processes is {processes}; expected at least 1")
-        execution = Execution(device, threads, compiles(config, compile))
+        execution = fitting(config, device, threads, compile)
         folder = out or Path("runs") / f"{experiment}-{scale}"
         needed = runs.create(
             folder,

@@ -3,12 +3,14 @@
 The update is the same function in each case; only the order of floating-point sums may differ. As
 written it is hundreds of small operations, and with networks of 64 units most of the time goes to
 calling them. Compiled they become a few dozen, which pays for networks as large as the paper's and
-for runs longer than the minute that compiling takes. On a GPU a captured graph calls all at once.
+for runs longer than the minute that compiling takes. Most of what is left is matrix products, and
+who makes them matters. On a GPU a captured graph calls all at once.
 """
 
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache, wraps
 from typing import Any, Literal
 
 import torch
@@ -26,6 +28,8 @@ class Execution:
         threads: of PyTorch, in the whole process, and of the physics. One is best for anything that
             fits a core's cache; a second core does more good with a second process.
         compile: whether updates are compiled, which takes a C++ compiler and about a minute.
+        onednn: whether oneDNN makes an update's matrix products, on a processor where that costs
+            no precision; see `with_onednn`.
 
     Raises:
         ValueError: there is no such device, or no compiler.
@@ -34,6 +38,7 @@ class Execution:
     device: str = "cpu"
     threads: int = 1
     compile: bool = False
+    onednn: bool = False
 
     def __post_init__(self) -> None:
         if self.threads < 1:
@@ -60,7 +65,12 @@ class Execution:
             torch._dynamo.config.recompile_limit = 1_000
             torch._dynamo.config.accumulated_recompile_limit = 1_000
             step = torch.compile(step, fullgraph=True, dynamic=False)
+        step = self.widen(step)
         return step if self.device == "cpu" else CudaGraphed(step)
+
+    def widen(self, step: Callable) -> Callable:
+        """Return `step`, its matrix products made by oneDNN if they are to be, and are exact."""
+        return with_onednn(step) if self.onednn and onednn_is_exact() else step
 
 
 def is_large(config: Config) -> bool:
@@ -71,16 +81,55 @@ def is_large(config: Config) -> bool:
     return max(config.hidden, default=0) > 128
 
 
-def compiles(config: Config, choice: Literal["auto", "yes", "no"]) -> bool:
-    """Return whether a run is to be compiled; `auto` compiles long runs of large networks."""
-    if choice == "auto":
-        return is_large(config) and config.total_steps >= 50_000 and compiler() is not None
-    return choice == "yes"
+def fitting(
+    config: Config, device: str, threads: int = 1, compile: Literal["auto", "yes", "no"] = "auto"
+) -> Execution:
+    """Return how a run of this size is best executed; `auto` compiles long ones of large networks.
+
+    Raises:
+        ValueError: see `Execution`.
+    """
+    large = is_large(config)
+    long = large and config.total_steps >= 50_000
+    compiled = long and compiler() is not None if compile == "auto" else compile == "yes"
+    return Execution(device, threads, compiled, onednn=large and device == "cpu")
 
 
 def compiler() -> str | None:
     """Return the C++ compiler that PyTorch would use, or None."""
     return shutil.which("g++") or shutil.which("clang++")
+
+
+def with_onednn(step: Callable) -> Callable:
+    """Return `step`, its matrix products made by oneDNN.
+
+    PyTorch has them made by MKL, which uses half the width of an AMD processor's vectors. oneDNN
+    uses all of it, and is asked where rounding to 16 bits is allowed. It need not round: without
+    units for such numbers alone it is faster to keep to single precision.
+    """
+    settings = torch.backends.mkldnn.matmul
+
+    @wraps(step)
+    def stepped(*args: Any, **kwargs: Any) -> Any:
+        before, settings.fp32_precision = settings.fp32_precision, "bf16"
+        try:
+            return step(*args, **kwargs)
+        finally:
+            settings.fp32_precision = before
+
+    return stepped
+
+
+@cache
+def onednn_is_exact() -> bool:
+    """Return whether `with_onednn` leaves products in single precision, by making one.
+
+    A sum of 256 products of normal numbers is about 16. Single precision misses it by 1e-5, 16
+    bits by 0.1.
+    """
+    x = torch.randn(2, 256, 256, generator=torch.Generator().manual_seed(0))
+    error = with_onednn(torch.bmm)(x, x) - torch.bmm(x.double(), x.double())
+    return error.abs().max().item() < 1e-3
 
 
 class CudaGraphed:

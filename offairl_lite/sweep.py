@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations, jobs, runs
 from offairl_lite.config import Config, differences
-from offairl_lite.execution import Execution, compiles
+from offairl_lite.execution import fitting
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.records import Plan
 from offairl_lite.scale import Scale
@@ -153,7 +153,7 @@ def subcommand(
                 folder / name,
                 point,
                 seeds,
-                execution=Execution(device, compile=compiles(point, compile)),
+                execution=fitting(point, device, compile=compile),
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
                 subsample=subsample,

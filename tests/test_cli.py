@@ -9,6 +9,7 @@ import torch
 
 from offairl_lite import cli, runs
 from offairl_lite.demonstrations import EXPERTS
+from offairl_lite.execution import Execution
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.imitate import Trainer
 from offairl_lite.policies import Policy
@@ -326,12 +327,13 @@ def test_large_networks_are_compiled_and_spread(
     line, compiler, processes, compiled, capsys, monkeypatch
 ):
     def create(*_, execution, shards, **__):
-        raise ValueError(f"{shards} {execution.compile} {execution.device} {execution.threads}")
+        raise ValueError(f"{shards} {execution}")
 
     monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
     monkeypatch.setattr(cli.os, "cpu_count", lambda: 4)
     monkeypatch.setattr(runs, "create", create)
-    assert failure(line, capsys) == f"offairl: {processes} {compiled} cpu 1"
+    expected = Execution("cpu", 1, compiled, onednn=processes > 1)
+    assert failure(line, capsys) == f"offairl: {processes} {expected}"
 
 
 def test_a_record_is_verified(capsys, elsewhere):

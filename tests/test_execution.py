@@ -1,18 +1,20 @@
 """However an update is executed, it is the same update."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from offairl_lite import execution
-from offairl_lite.execution import CudaGraphed, Execution, compiler
+from offairl_lite.execution import CudaGraphed, Execution, compiler, onednn_is_exact, with_onednn
 from offairl_lite.imitate import Trainer, train
 
 MAZE = "offairl/PointMazeLeft-v0"
 HOPPER = "Hopper-v5"
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler")
+needs_onednn = pytest.mark.skipif(not onednn_is_exact(), reason="oneDNN rounds to 16 bits here")
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 
 VARIANTS = [
@@ -51,6 +53,56 @@ def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, chang
     config = replace(tiny, warmup_steps=20, **changes)
     config = replace(config, hidden=(16,), reward_hidden=(8,), shaping_hidden=(8,))
     assert_same_updates(config, random_demonstrations(config.env_id), Execution(compile=True))
+
+
+@needs_onednn
+@pytest.mark.parametrize("compile", [False, pytest.param(True, marks=needs_compiler)])
+def test_an_update_with_onednn_is_the_same_update(tiny, random_demonstrations, compile):
+    """Networks are wide enough for PyTorch to ask it; rounding to 16 bits would be seen."""
+    config = replace(tiny, warmup_steps=20, update_every=20, hidden=(64, 64), batch_size=64)
+    other = Execution(compile=compile, onednn=True)
+    assert_same_updates(config, random_demonstrations(config.env_id), other)
+
+
+@needs_onednn
+@pytest.mark.parametrize(("rows", "width", "out"), [(100, 17, 400), (200, 400, 300), (256, 64, 1)])
+def test_products_by_onednn_are_in_single_precision(rows, width, out):
+    draw = partial(torch.randn, generator=torch.Generator().manual_seed(0))
+    x, weight, grad, bias = draw(2, rows, width), draw(2, width, out), draw(2, rows, out), draw(out)
+    for product in (
+        lambda x, weight, grad, bias: torch.baddbmm(bias, x, weight),
+        lambda x, weight, grad, bias: torch.bmm(x.mT, grad),
+        lambda x, weight, grad, bias: torch.bmm(grad, weight.mT),
+    ):
+        exact = product(*(t.double() for t in (x, weight, grad, bias)))
+        found = with_onednn(product)(x, weight, grad, bias).double()
+        torch.testing.assert_close(found, exact, rtol=1e-5, atol=1e-4)
+
+
+def test_where_products_would_be_rounded_onednn_is_not_asked(monkeypatch):
+    """A processor with units for 16 bits is imitated by rounding to them."""
+
+    def rounding(step):
+        return lambda *args: step(*(x.bfloat16() for x in args)).float()
+
+    onednn_is_exact.cache_clear()
+    monkeypatch.setattr(execution, "with_onednn", rounding)
+    assert not onednn_is_exact()
+    assert Execution(onednn=True).widen(torch.bmm) is torch.bmm
+    onednn_is_exact.cache_clear()
+
+
+def test_onednn_is_asked_during_an_update_alone():
+    settings = torch.backends.mkldnn.matmul
+    before = settings.fp32_precision
+
+    def step():
+        assert settings.fp32_precision == "bf16"
+        raise ArithmeticError
+
+    with pytest.raises(ArithmeticError):
+        with_onednn(step)()
+    assert settings.fp32_precision == before
 
 
 @needs_gpu

@@ -206,10 +206,10 @@ def test_long_runs_of_large_networks_are_compiled(
     choice, hidden, steps, compiler, expected, offairl, monkeypatch
 ):
     monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
-    monkeypatch.setattr(sweep, "Execution", lambda device, compile: compile)
     line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
     ((_, given),) = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
-    assert given["execution"] is expected
+    assert given["execution"].compile is expected
+    assert given["execution"].onednn is (hidden == "400x300")
 
 
 def test_an_interrupt_tells_how_to_go_on(offairl, capsys, monkeypatch):
