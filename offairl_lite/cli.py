@@ -65,15 +65,22 @@ def _words(seconds: float) -> str:
     return f"about {seconds:.0f} seconds"
 
 
-def demos(env_id: Positional[str], *, trajectories: int = 50, dataset: str | None = None) -> None:
+def demos(
+    env_id: Positional[str],
+    *,
+    trajectories: int = 50,
+    dataset: str | None = None,
+    experts: int | None = None,
+) -> None:
     """Make demonstrations of a task where there are none yet, check them, and say what they are.
 
     Args:
         env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
         trajectories: how many episodes.
         dataset: a Minari data set of your own, to check against the task.
+        experts: of how many of the shipped experts; by default of all.
     """
-    data = demonstrations.load(env_id, trajectories, dataset)
+    data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     returns = data.returns
     print(
         f"{env_id}: {len(data)} trajectories, {sum(data.lengths):,} steps, return "
@@ -171,6 +178,7 @@ def _run_command(name: str, size: Scale):
         dataset: str | None = None,
         trajectories: int = 50,
         subsample: int = 1,
+        experts: int | None = experiment.experts[size],
         frozen: tuple[Path, ...] = (),
         carried: tuple[Path, ...] = (),
         guide: tuple[Path, ...] = (),
@@ -190,6 +198,7 @@ def _run_command(name: str, size: Scale):
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
+            experts: of how many of the shipped experts they are, from the first on; None: of all.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
                 several, one population after the other.
             carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
@@ -210,7 +219,7 @@ def _run_command(name: str, size: Scale):
         inherited = runs.inherit(config, seeds, frozen=frozen, carried=carried, guide=guide)
         data = None
         if config.learns_reward:
-            data = demonstrations.load(config.env_id, trajectories, dataset, subsample)
+            data = demonstrations.load(config.env_id, trajectories, dataset, subsample, experts)
         if processes is None:
             one_a_core = is_large(config) and device == "cpu"
             processes = min(os.cpu_count() or 1, len(seeds)) if one_a_core else 1
@@ -226,6 +235,7 @@ def _run_command(name: str, size: Scale):
             demonstrations=data,
             dataset=dataset,
             subsample=subsample,
+            experts=experts,
             **inherited,
             experiment=experiment,
             scale=scale,

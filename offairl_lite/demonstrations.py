@@ -139,7 +139,11 @@ def short_name(env_id: str) -> str:
 
 
 def load(
-    env_id: str, trajectories: int = 50, dataset_id: str | None = None, subsample: int = 1
+    env_id: str,
+    trajectories: int = 50,
+    dataset_id: str | None = None,
+    subsample: int = 1,
+    experts: int | None = None,
 ) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
@@ -153,21 +157,32 @@ def load(
         dataset_id: a data set of your own, as `minari.list_local_datasets()` names it.
         subsample: of each trajectory every so many-th transition is taken, see
             `Demonstrations.subsample`.
+        experts: without `dataset_id`, how many of the shipped experts show it, from the first on;
+            by default all.
 
     Raises:
         FileNotFoundError: there is no such data set, and no expert to make it.
         OSError: Minari's local storage is no folder, or the shipped experts' episodes must be made
             and cannot be kept there.
         ValueError: the data set does not fit the task; says what was expected and what was found.
-            Or `trajectories` or `subsample` is below 1.
+            Or `trajectories` or `subsample` is below 1, or there are not so many `experts`.
     """
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     if subsample < 1:
         raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
     if dataset_id is None:
+        policy = expert(env_id)
+        if experts is not None:
+            if not 1 <= experts <= len(policy):
+                raise ValueError(
+                    f"experts is {experts}; {len(policy)} are shipped for {env_id}, and by default "
+                    "all of them show it"
+                )
+            policy = policy.member(*range(experts))
         digest = _digest(expert_file(env_id).read_bytes())[:8]
-        dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{trajectories}-v0"
+        some = "" if experts is None else f"-first-{experts}"
+        dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}{some}-{trajectories}-v0"
         with warnings.catch_warnings():
             # It may be one that another process is about to write.
             warnings.filterwarnings("ignore", "Misconfigured dataset")
@@ -179,7 +194,7 @@ def load(
                 if not _is_whole(dataset_id, trajectories):
                     # Nobody else is writing, so what is there was given up half-way.
                     shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-                    generate(env_id, trajectories, dataset_id)
+                    generate(policy, env_id, trajectories, dataset_id)
     else:
         known = _known()
         if dataset_id not in known:
@@ -216,19 +231,17 @@ def _storage() -> Iterator[None]:
         ) from error
 
 
-def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
-    """Write a Minari data set of the shipped experts' episodes, shared out evenly among them.
+def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> None:
+    """Write a Minari data set of the first shipped experts' episodes, shared out evenly among them.
 
     Actions are sampled, as maximum-entropy experts act. Episode `i` is the `i // n`-th of expert
     `i % n`. Where they are not the ones that `write_reference` saw, byte for byte, the log says so.
 
     Raises:
-        FileNotFoundError: no expert is shipped for the task.
         OSError: Minari's local storage cannot be written to.
     """
     with _storage():  # found out now, and not after minutes of work
         tempfile.TemporaryFile(dir=get_dataset_path()).close()
-    policy = expert(env_id)
     first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []
     with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
@@ -264,7 +277,7 @@ def generate(env_id: str, trajectories: int, dataset_id: str) -> None:
             env=env_id,
             eval_env=env_id,
             algorithm_name="SAC",
-            description=f"Episodes of the {len(policy)} shipped experts of {env_id}.",
+            description=f"Episodes of {len(policy)} of the shipped experts of {env_id}.",
         )
 
 
@@ -295,12 +308,17 @@ def _block(policy: Policy, env_id: str, first: int = 0) -> Episodes:
 
 
 def _description(made: Episodes, env_id: str) -> dict[str, Any]:
-    """Return what tells the first block of demonstrations from what another machine makes."""
+    """Return what tells each expert's first demonstrations from what another machine makes."""
+    digests = []
+    for member, lengths in enumerate(made.lengths):
+        steps = member, np.arange(made.obs.shape[2]) < lengths[:, None]
+        digests.append(
+            _digest(made.obs[steps], made.action[steps], made.next_obs[steps], made.reward[steps])
+        )
     return {
         "experts": _digest(expert_file(env_id).read_bytes()),
-        "demonstrations": _digest(made.obs, made.action, made.next_obs, made.reward),
-        "episodes": made.returns.size,
-        "mean_return": round(float(made.returns.mean()), 4),
+        "demonstrations": digests,
+        "mean_returns": [round(float(mean), 4) for mean in made.returns.mean(1)],
         "mujoco": version("mujoco"),
     }
 
@@ -314,8 +332,9 @@ def _compare(made: Episodes, env_id: str) -> None:
     if not path.is_file():
         return
     there, here = json.loads(path.read_text()), _description(made, env_id)
+    members = len(made.returns)
     same_experts = there["experts"] == here["experts"]
-    if same_experts and there["demonstrations"] != here["demonstrations"]:
+    if same_experts and there["demonstrations"][:members] != here["demonstrations"]:
         log.warning(
             "The demonstrations of %s are fine to use, but not byte for byte those of the records: "
             "made with MuJoCo %s, expected %s (another processor rounds differently as well). The "
@@ -323,9 +342,9 @@ def _compare(made: Episodes, env_id: str) -> None:
             env_id,
             here["mujoco"],
             there["mujoco"],
-            here["episodes"],
-            here["mean_return"],
-            there["mean_return"],
+            made.returns.size,
+            np.mean(here["mean_returns"]),
+            np.mean(there["mean_returns"][:members]),
         )
 
 

@@ -21,6 +21,7 @@ class Experiment:
         seeds: the members at each scale.
         reward_from: the run whose learned reward is used, frozen; None for no such.
         variants: where it is several runs, their names, and what each changes in the configuration.
+        experts: how many of the shipped experts show the task at each scale; None for all.
     """
 
     about: str
@@ -28,6 +29,9 @@ class Experiment:
     seeds: Mapping[Scale, tuple[int, ...]]
     reward_from: str | None = None
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    experts: Mapping[Scale, int | None] = field(
+        default_factory=lambda: {"demo": None, "full": None}
+    )
 
 
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
@@ -112,6 +116,9 @@ def _locomotion(env_id: str, demo: dict | None = None, **common) -> Mapping[Scal
     full = replace(full, **common)
     return {"demo": replace(full, **(_LOCOMOTION_DEMO | (demo or {}))), "full": full}
 
+
+# Demonstrations of one expert, at demo scale: the records there were made when there was one.
+_ONE_EXPERT: Mapping[Scale, int | None] = {"demo": 1, "full": None}
 
 # A logit whose log π has no tail, see `Config.replay_density`.
 _MIXTURE = {"replay_density": "mixture"}
@@ -353,12 +360,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _locomotion("Hopper-v5", **_ON_POLICY, reward="gail-survival"),
         SEEDS,
         variants=_SIGNS,
+        experts=_ONE_EXPERT,
     ),
     "hopper-dac": Experiment(
         "DAC with TD3 and with SAC on Hopper, with absorbing states",
         _locomotion("Hopper-v5", reward="dac", absorbing="bootstrap"),
         SEEDS,
         variants=_DAC,
+        experts=_ONE_EXPERT,
     ),
     "hopper-absorbing": Experiment(
         "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
@@ -376,12 +385,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         },
         SEEDS,
         variants=_ABSORBING,
+        experts=_ONE_EXPERT,
     ),
     "locomotion": Experiment(
         "Off-policy AIRL with SAC and SAC-MCP beside DAC with SAC and TD3, α learned or 1: 35 runs",
         _locomotion("HalfCheetah-v5", _SMALL_MCP, temperature=None),
         SEEDS,
         variants=_SIDE_BY_SIDE,
+        experts=_ONE_EXPERT,
     ),
     "maze-retraining": Experiment(
         "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",
@@ -424,6 +435,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             **_WITHOUT_TAIL,
             "implementation-4-velocity": {**_MIXTURE, "reward_sees": _VELOCITY},
         },
+        experts=_ONE_EXPERT,
     ),
     "maze-transfer-rewards": Experiment(
         "What a reward is worth in the other maze: from scratch or a policy, with help or alone",

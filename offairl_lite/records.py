@@ -54,8 +54,8 @@ class Plan:
         config: of every member.
         shards: the seeds, in the order of all files, in groups that are trained together.
         execution: the fields of `Execution`.
-        demonstrations: `dataset` (None: the shipped experts'), `trajectories`, `subsample` and
-            `digest`; None where no reward is learned.
+        demonstrations: `dataset` (None: the shipped experts'), `trajectories`, `subsample`,
+            `experts` and `digest`; None where no reward is learned.
         checkpoint_every: steps and updates, together, between checkpoints.
         experiment: the name under which it was run, if any.
         scale: the scale at which it was run, if any.

@@ -79,6 +79,7 @@ def create(
     demonstrations: Demonstrations | None = None,
     dataset: str | None = None,
     subsample: int = 1,
+    experts: int | None = None,
     reward: Reward | None = None,
     policy: Policy | None = None,
     guide: Policy | None = None,
@@ -98,6 +99,7 @@ def create(
         dataset: their Minari data set, from which `work` loads them again; None: the shipped
             experts'.
         subsample: how they were thinned when they were loaded, for `work` to do so again.
+        experts: how many of the shipped experts they are by, for `work` as well; None: all.
         reward: a frozen reward, where `config.reward` is `frozen`.
         policy: one to carry over, where `config.carry` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
@@ -131,6 +133,7 @@ def create(
             "dataset": dataset,
             "trajectories": len(demonstrations),
             "subsample": subsample,
+            "experts": experts,
             "digest": digest,
         }
     plan = Plan(
@@ -219,7 +222,8 @@ def _demonstrations(
             plan.config.env_id,
             shown["trajectories"],
             shown["dataset"],
-            shown.get("subsample", 1),  # Older runs do not say.
+            shown.get("subsample", 1),  # Older runs do not say,
+            shown.get("experts"),  # nor this.
         )
     if _digest(given.transitions._asdict()) != shown["digest"]:
         raise ValueError(

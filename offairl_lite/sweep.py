@@ -103,6 +103,7 @@ def subcommand(
         dataset: str | None = None,
         trajectories: int = 50,
         subsample: int = 1,
+        experts: int | None = experiment.experts[size],
         frozen: tuple[Path, ...] = (),
         carried: tuple[Path, ...] = (),
         guide: tuple[Path, ...] = (),
@@ -127,6 +128,7 @@ def subcommand(
             dataset: a Minari data set to imitate; by default the shipped experts'.
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
+            experts: of how many of the shipped experts they are, from the first on; None: of all.
             frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
                 several, one population after the other.
             carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
@@ -146,7 +148,7 @@ def subcommand(
         for point in fresh.values():
             if point.learns_reward and point.env_id not in data:
                 data[point.env_id] = demonstrations.load(
-                    point.env_id, trajectories, dataset, subsample
+                    point.env_id, trajectories, dataset, subsample, experts
                 )
         for name, point in fresh.items():
             needed = create(
@@ -157,6 +159,7 @@ def subcommand(
                 demonstrations=data[point.env_id] if point.learns_reward else None,
                 dataset=dataset,
                 subsample=subsample,
+                experts=experts,
                 **inherited[name],
                 experiment=experiment,
                 scale=scale,

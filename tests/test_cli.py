@@ -91,9 +91,9 @@ def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
 
 
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
-    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --out thin {SMALL}")
+    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {SMALL}")
     about = Plan.read(elsewhere / "thin").demonstrations
-    assert (about["trajectories"], about["subsample"]) == (2, 20)
+    assert (about["trajectories"], about["subsample"], about["experts"]) == (2, 20, 1)
     offairl("resume thin --steps 300")
     assert read(elsewhere / "thin").steps[-1] == 300
     assert "subsample is 0" in failure(

@@ -151,7 +151,7 @@ def test_what_another_process_is_making_is_waited_for(minari_folder, shipped_exp
         with FileLock(minari_folder / ".offairl.lock"):
             locked.set()
             time.sleep(0.5)  # time enough to find that nothing is there
-            generate(MAZE, 2, dataset_id)
+            generate(shipped_experts, MAZE, 2, dataset_id)
 
     monkeypatch.setattr(demonstrations, "generate", None)
     with ThreadPoolExecutor() as pool:
@@ -240,6 +240,22 @@ def test_trajectories_are_shared_out_over_the_experts(minari_folder, shipped_exp
     assert (np.argmin(distance, 0) == np.arange(5) % 2).all()
 
 
+def test_the_first_expert_shows_what_it_shows_among_others(minari_folder, shipped_experts):
+    one, both = load(MAZE, 3, experts=1), load(MAZE, 6)
+    assert all(map(torch.equal, load(MAZE, 6, experts=2).transitions, both.transitions))
+    for alone, together in zip(one.transitions, both.transitions, strict=True):
+        assert torch.equal(alone, together.view(6, 100, -1)[::2].reshape(alone.shape))
+    # A file of the first alone makes the same: records of an earlier one hold.
+    shipped_experts.member(0).save(demonstrations.EXPERTS / "PointMazeLeft.safetensors")
+    assert all(map(torch.equal, load(MAZE, 3).transitions, one.transitions))
+
+
+@pytest.mark.parametrize("experts", [0, 3])
+def test_more_experts_than_are_shipped_are_refused(minari_folder, shipped_experts, experts):
+    with pytest.raises(ValueError, match=rf"experts is {experts}; 2 are shipped for {MAZE}"):
+        load(MAZE, 3, experts=experts)
+
+
 def expected(env_id=MAZE, **changes):
     """Change what is expected of the first demonstrations, in the file that says so."""
     path = demonstrations.write_reference(env_id)
@@ -252,13 +268,14 @@ def test_demonstrations_that_are_those_expected_pass_in_silence(
     expected()
     load(MAZE, 1)
     load(MAZE, 25)
+    load(MAZE, 1, experts=1)
     assert not caplog.records
 
 
 def test_other_demonstrations_than_expected_are_used_and_the_difference_is_told(
     minari_folder, shipped_experts, caplog
 ):
-    expected(demonstrations="other", mujoco="1.2.3", mean_return=-43.21)
+    expected(demonstrations=["other", "other"], mujoco="1.2.3", mean_returns=[-42.21, -44.21])
     data = load(MAZE, 3)
     assert len(data) == 3
     (message,) = caplog.messages
@@ -266,6 +283,10 @@ def test_other_demonstrations_than_expected_are_used_and_the_difference_is_told(
     assert f"MuJoCo {version('mujoco')}, expected 1.2.3" in message
     mean = load(MAZE, 20).returns.mean()  # ten of each expert
     assert f"mean return of the first 20 is {mean:.4f} here, and was -43.2100 there" in message
+    caplog.clear()
+    mean = load(MAZE, 10, experts=1).returns.mean()
+    (message,) = caplog.messages
+    assert f"mean return of the first 10 is {mean:.4f} here, and was -42.2100 there" in message
     # What is there already is not looked at again.
     caplog.clear()
     load(MAZE, 3)
@@ -273,7 +294,7 @@ def test_other_demonstrations_than_expected_are_used_and_the_difference_is_told(
 
 
 def test_nothing_is_expected_of_other_experts(minari_folder, shipped_experts, caplog):
-    expected(demonstrations="other")
+    expected(demonstrations=["other", "other"])
     shipped_experts.member(1, 0).save(demonstrations.EXPERTS / "PointMazeLeft.safetensors")
     load(MAZE, 1)
     assert not caplog.records
@@ -284,10 +305,11 @@ def test_the_shipped_demonstrations_are_much_the_same_on_this_machine(path, mina
     """`write_reference` has been called since the experts last changed."""
     policy = Policy.load(path)
     wanted = json.loads(path.with_suffix(".json").read_text())
-    returns = load(policy.env_id, wanted["episodes"]).returns
+    returns = load(policy.env_id, len(policy) * demonstrations.BLOCK).returns
     assert wanted["experts"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert len(wanted["mean_returns"]) == len(wanted["demonstrations"]) == len(policy)
     standard_error = returns.std() / np.sqrt(len(returns))
-    assert abs(returns.mean() - wanted["mean_return"]) < 5 * standard_error
+    assert abs(returns.mean() - np.mean(wanted["mean_returns"])) < 5 * standard_error
 
 
 def numbered(lengths, terminated):

@@ -560,6 +560,13 @@ def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonst
         runs.work(folder, demonstrations=random_demonstrations(MAZE, 3))
 
 
+def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
+    shown = load(MAZE, 2, experts=1)
+    runs.create(folder, tiny, SEEDS, demonstrations=shown, experts=1)
+    resume(folder)
+    assert records.read(folder).steps[-1] == tiny.total_steps
+
+
 def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset):
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
