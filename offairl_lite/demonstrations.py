@@ -109,7 +109,7 @@ class Demonstrations:
 
 
 def expert(env_id: str) -> Policy:
-    """Return the shipped experts of a task, best first.
+    """Return the shipped experts of a task.
 
     Raises:
         FileNotFoundError: none is shipped for it; the message lists the tasks that have some.
@@ -438,8 +438,10 @@ def _transitions(episode: minari.EpisodeData, action_space: gymnasium.spaces.Box
 def ship(policy: Policy, seeds: Sequence[int], count: int = 5) -> Path:
     """Make the `count` best members of a trained population the shipped experts of its task.
 
-    They are ranked by the mean return of 20 episodes of their mode. They are kept in half precision
-    if that changes no expert's mean return over ten episodes by more than one per cent.
+    They are ranked by the mean return of 20 episodes of their mode, and kept in the order they
+    have: put those first that are shipped already, and what imitated the first alone can be done
+    again. They are kept in half precision if that changes no expert's mean return over ten episodes
+    by more than one per cent.
 
     Args:
         policy: the population, of at least one member.
@@ -450,7 +452,7 @@ def ship(policy: Policy, seeds: Sequence[int], count: int = 5) -> Path:
         Their file; what they do is in the JSON file beside it, see `write_reference`.
     """
     ranking = rollout(policy, policy.env_id, seeds, 20).returns.mean(1)
-    kept = policy.member(*np.argsort(-ranking)[:count].tolist())
+    kept = policy.member(*np.sort(np.argsort(-ranking)[:count]).tolist())
     rounded = replace(kept, params=kept.params.half().float())
     before, after = _mode_returns(kept), _mode_returns(rounded)
     if (np.abs(after - before) <= 0.01 * np.abs(before)).all():

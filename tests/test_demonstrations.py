@@ -404,7 +404,6 @@ def test_the_shipped_experts_of_the_maze_are_experts(side):
     assert len(policy) == 5
     assert (episodes.returns.mean(1) > -7).all()
     assert (rest < 0.02).all()  # at the goal; the wall behind it would stop them at 0.05
-    assert (np.diff(episodes.returns.mean(1)) < 0.3).all()  # best first
 
 
 @pytest.fixture
@@ -419,7 +418,7 @@ def noted():
     return json.loads(demonstrations.expert_file(MAZE).with_suffix(".json").read_text())
 
 
-def test_the_best_members_are_shipped_best_first(maze_experts, minari_folder, caplog):
+def test_the_best_members_are_shipped_in_their_order(maze_experts, minari_folder, caplog):
     experts = maze_experts.member(4, 0, 2)
     random = experts.actor.init(Streams((0,)))
     mixed = Policy(
@@ -433,7 +432,9 @@ def test_the_best_members_are_shipped_best_first(maze_experts, minari_folder, ca
     returns = rollout(demonstrations.expert(MAZE), MAZE, range(3), 10).returns.mean(1)
     np.testing.assert_allclose(noted()["returns"], returns, atol=1e-3)
     assert returns.min() > -7
-    assert (np.diff(returns) < 0.05).all()
+    alone = rollout(experts, MAZE, range(3), 10).returns.mean(1)
+    np.testing.assert_allclose(returns, alone, atol=0.05)
+    assert np.ptp(alone) > 0.1  # so that their order can be told
     load(MAZE, 3)
     assert not caplog.records  # the demonstrations are those that were noted
 
