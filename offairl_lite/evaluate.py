@@ -1,6 +1,7 @@
 """Episodes of a fixed policy, and the statistics of their returns."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +72,7 @@ def rollout(
         sample: whether to sample actions; otherwise the mode is taken.
         purpose: see `episode_seeds`.
         first: number of the first episode; the seeds of earlier ones are left out.
-        num_threads: for the physics.
+        num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
         ValueError: seeds and members are not equally many, or an observation has the wrong size.
@@ -94,20 +95,21 @@ def rollout(
     running = np.ones(population * episodes, bool)
     ended = np.zeros_like(running)
     steps = []
-    while running.any():
-        seen = torch.as_tensor(obs, dtype=torch.float32, device=device)
-        seen = seen.view(population, episodes, obs_dim)
-        seen = seen if policy.actor.obs_dim == obs_dim else extend(seen)
-        noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
-        action = policy.act(seen, noise).view(-1, action_dim).cpu().numpy()
-        next_obs, reward, terminated, truncated, _ = env.step(action)
-        steps.append((obs, action, next_obs, reward, running))
-        ended |= running & terminated
-        done = terminated | truncated
-        running = running & ~done
-        obs = next_obs
-        if done.any():
-            obs, _ = env.reset(options={"reset_mask": done})
+    with _torch_threads(num_threads):
+        while running.any():
+            seen = torch.as_tensor(obs, dtype=torch.float32, device=device)
+            seen = seen.view(population, episodes, obs_dim)
+            seen = seen if policy.actor.obs_dim == obs_dim else extend(seen)
+            noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
+            action = policy.act(seen, noise).view(-1, action_dim).cpu().numpy()
+            next_obs, reward, terminated, truncated, _ = env.step(action)
+            steps.append((obs, action, next_obs, reward, running))
+            ended |= running & terminated
+            done = terminated | truncated
+            running = running & ~done
+            obs = next_obs
+            if done.any():
+                obs, _ = env.reset(options={"reset_mask": done})
     env.close()
 
     columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
@@ -117,6 +119,17 @@ def rollout(
     mask = alive[..., None]
     ended = ended.reshape(population, episodes)
     return Episodes(obs * mask, action * mask, next_obs * mask, reward * alive, ended, alive)
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    """PyTorch with so many threads, and then with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:

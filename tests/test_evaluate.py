@@ -86,6 +86,21 @@ def test_an_episode_does_not_depend_on_how_many_others_there_are(sample):
     np.testing.assert_allclose(many.obs[1:, :2], few.obs, atol=1e-4)
 
 
+def test_episodes_do_not_depend_on_how_many_threads_pytorch_has():
+    """Large enough for it to use two; what is rounded otherwise, a contact magnifies."""
+    actor = SquashedGaussian(11, 3, (400, 300))
+    policy = Policy("Hopper-v5", actor, actor.init(Streams((0,))), Normaliser.identity(1, 11))
+    before, made = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            made.append(rollout(policy, "Hopper-v5", (0,), 10, sample=True).obs)
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    np.testing.assert_array_equal(*made)
+
+
 def test_samples_are_not_the_mode():
     policy = random_policy("offairl/PointMazeLeft-v0")
     mode, sample = (rollout(policy, policy.env_id, SEEDS, 1, sample=s) for s in (False, True))
