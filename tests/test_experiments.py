@@ -266,6 +266,15 @@ def test_a_run_is_configured_by_its_name():
         configure("maze/td3", "demo")
 
 
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_robots_are_shown_by_one_expert_at_demo_scale_and_by_all_at_full_scale(name):
+    """As the records at demo scale were; a maze has five experts at either scale."""
+    experiment = EXPERIMENTS[name]
+    robot = "Point" not in experiment.configs["demo"].env_id
+    imitates = experiment.configs["demo"].learns_reward
+    assert experiment.experts == {"demo": 1 if robot and imitates else None, "full": None}
+
+
 def test_a_record_is_where_the_command_line_puts_it_but_for_the_experts():
     assert record("maze-imitation", "full") == "maze-imitation-full"
     assert record("maze-dac/td3", "demo") == "maze-dac-demo/td3"

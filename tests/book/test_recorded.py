@@ -135,6 +135,7 @@ def test_a_record_is_of_the_experiment_that_it_names(folder):
     assert (shown is not None) == plan.config.learns_reward
     if shown is not None:
         assert shown["trajectories"] > 0
+        assert shown.get("experts") == EXPERIMENTS[plan.experiment].experts[plan.scale]
         assert folder in EARLY or re.fullmatch(r"[0-9a-f]{64}", shown["digest"])
 
 
