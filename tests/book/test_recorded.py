@@ -43,6 +43,8 @@ VARIED = {
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
+    # The mazes' experts are soon where they go.
+    "experts/PointMazeLeft-sac-learned": {"eval_every"},
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
         for reward in ("state", "velocity")
