@@ -45,6 +45,7 @@ VARIED = {
     "ant-transfer-demo/true/scratch": {"reward"},
     # The mazes' experts are soon where they go.
     "experts/PointMazeLeft-sac-learned": {"eval_every"},
+    "experts/PointMazeRight-sac-learned": {"eval_every"},
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
         for reward in ("state", "velocity")
