@@ -104,8 +104,8 @@ def with_onednn(step: Callable) -> Callable:
     """Return `step`, its matrix products made by oneDNN.
 
     PyTorch has them made by MKL, which uses half the width of an AMD processor's vectors. oneDNN
-    uses all of it, and is asked where rounding to 16 bits is allowed. It need not round: without
-    units for such numbers alone it is faster to keep to single precision.
+    uses all of it, and is asked where rounding to 16 bits is allowed. It may round then, and need
+    not: `onednn_is_exact` finds out.
     """
     settings = torch.backends.mkldnn.matmul
 
