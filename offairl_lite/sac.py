@@ -7,6 +7,7 @@ not influence one another.
 """
 
 import math
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from offairl_lite.absorbing import analytic_return, is_absorbing
 from offairl_lite.config import Config
+from offairl_lite.execution import is_large, piecewise
 from offairl_lite.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.policies import MultiplicativeGaussian, Policy, SquashedGaussian
 from offairl_lite.replay import Batch
@@ -136,7 +138,10 @@ class SAC:
         """
         params = self.actor_params if actor_params is None else actor_params
         obs = self.normaliser(batch.obs)
-        log_prob = self.actor.log_prob(params, obs, batch.pre_tanh, self.config.log_density)
+        log_prob = partial(self.actor.log_prob, density=self.config.log_density)
+        if is_large(self.config) and obs.device.type == "cpu":
+            log_prob = piecewise(log_prob)
+        log_prob = log_prob(params, obs, batch.pre_tanh)
         if self.config.absorbing == "none":
             return log_prob
         return log_prob.masked_fill(is_absorbing(batch.obs), 0)

@@ -7,7 +7,15 @@ import pytest
 import torch
 
 from offairl_lite import execution
-from offairl_lite.execution import CudaGraphed, Execution, compiler, onednn_is_exact, with_onednn
+from offairl_lite.execution import (
+    PIECE,
+    CudaGraphed,
+    Execution,
+    compiler,
+    onednn_is_exact,
+    piecewise,
+    with_onednn,
+)
 from offairl_lite.imitate import Trainer, train
 
 MAZE = "offairl/PointMazeLeft-v0"
@@ -103,6 +111,21 @@ def test_onednn_is_asked_during_an_update_alone():
     with pytest.raises(ArithmeticError):
         with_onednn(step)()
     assert settings.fp32_precision == before
+
+
+@pytest.mark.parametrize("rows", [1, PIECE, 2 * PIECE + 7])
+def test_member_by_member_and_piece_by_piece_it_is_the_same_function(rows):
+    weights = torch.arange(1.0, 4.0).view(3, 1)
+    x, y = torch.randn(2, 3, rows, 2, generator=torch.Generator().manual_seed(0))
+    shapes = []
+
+    def function(weights, x, y):
+        shapes.append(x.shape)
+        return weights * (x - 2 * y).sum(-1)
+
+    assert torch.equal(piecewise(function)(weights, x, y), function(weights, x, y))
+    *pieces, _ = shapes
+    assert all(len(shape) == 3 and shape[0] == 1 and shape[1] <= PIECE for shape in pieces)
 
 
 @needs_gpu

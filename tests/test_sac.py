@@ -114,6 +114,18 @@ def test_the_squashed_density_by_hand(action, log_density):
     torch.testing.assert_close(learner.log_prob(batch), expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("log_density", ["exact", "released"])
+def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density):
+    learner, (batch, *_) = make(hidden=(160,), log_density=log_density), data()
+    many = batch._replace(
+        **{name: getattr(batch, name).repeat_interleave(200, 1) for name in ("obs", "pre_tanh")}
+    )
+    expected = learner.actor.log_prob(
+        learner.actor_params, learner.normaliser(many.obs), many.pre_tanh, log_density
+    )
+    torch.testing.assert_close(learner.log_prob(many), expected)
+
+
 def test_an_update_of_the_critics_by_hand():
     learner, (batch, _, noise) = make(**BY_HAND), data()
     learner.actor_params = constant_policy(learner, 0.0)
