@@ -99,7 +99,8 @@ def create(
         dataset: their Minari data set, from which `work` loads them again; None: the shipped
             experts'.
         subsample: how they were thinned when they were loaded, for `work` to do so again.
-        experts: how many of the shipped experts they are by, for `work` as well; None: all.
+        experts: how many of the shipped experts they are by, for `work` as well; None: all, or a
+            `dataset`, which is by none of them.
         reward: a frozen reward, where `config.reward` is `frozen`.
         policy: one to carry over, where `config.carry` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
@@ -133,7 +134,7 @@ def create(
             "dataset": dataset,
             "trajectories": len(demonstrations),
             "subsample": subsample,
-            "experts": experts,
+            "experts": None if dataset else experts,
             "digest": digest,
         }
     plan = Plan(

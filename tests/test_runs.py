@@ -571,7 +571,8 @@ def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset)
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
     thin = load(config.env_id, 2, name, subsample=20)
-    runs.create(folder, config, SEEDS, demonstrations=thin, dataset=name, subsample=20)
+    runs.create(folder, config, SEEDS, demonstrations=thin, dataset=name, subsample=20, experts=1)
+    assert records.Plan.read(folder).demonstrations["experts"] is None  # They are by none of ours.
     resume(folder)
     assert records.read(folder).steps[-1] == config.total_steps
 
