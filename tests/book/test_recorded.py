@@ -43,9 +43,13 @@ VARIED = {
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
-    # The mazes' experts are soon where they go.
-    "experts/PointMazeLeft-sac-learned": {"eval_every"},
-    "experts/PointMazeRight-sac-learned": {"eval_every"},
+    # On the mazes learners are soon where they go.
+    **{
+        f"experts/PointMaze{side}-{learner}": {"eval_every"}
+        for side in ("Left", "Right")
+        for learner in ("td3", "sac-fixed", "sac-learned")
+    },
+    "maze-imitation-full": {"eval_every"},
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
         for reward in ("state", "velocity")
@@ -89,7 +93,6 @@ EARLY = {
     "maze-imitation-2-demo",
     "maze-imitation-demo",
     "maze-imitation-fresh-demo",
-    "maze-imitation-full",
     "maze-imitation-raw-demo",
     "maze-imitation-released-loss-demo",
     "maze-transfer-demo",
