@@ -51,6 +51,10 @@ VARIED = {
     },
     "maze-imitation-full": {"eval_every"},
     **{
+        f"maze-retraining-full/{arm}": {"eval_every"}
+        for arm in ("scratch", "policy", "policy-expert-starts")
+    },
+    **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
         for reward in ("state", "velocity")
         for arm in (
