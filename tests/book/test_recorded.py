@@ -52,7 +52,7 @@ VARIED = {
     "maze-imitation-full": {"eval_every"},
     **{
         f"maze-retraining-full/{arm}": {"eval_every"}
-        for arm in ("scratch", "policy", "policy-expert-starts")
+        for arm in ("scratch", "policy", "policy-expert-starts", "policy-own-starts")
     },
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
