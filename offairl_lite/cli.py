@@ -134,6 +134,8 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
 
     On the machine that made the record, with the same versions, the numbers are the same to the
     last digit. Elsewhere training, which magnifies the smallest differences, comes out otherwise.
+    What the run had of other runs is looked for in the record, then in the files that its
+    config.json names.
 
     Args:
         record: its folder.
@@ -146,9 +148,10 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
     if all(old.returns == new.returns for old, new in pairs):
         return print("the same, every return of every episode")
     then, now = records.read_json(record / "run.json"), runs.origin(Execution())
+    cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
     changed = [
-        f"{key}: {then.get(key)}, here {now[key]}"
-        for key in ("versions", "processor", "commit")
+        f"{key}: {then.get(key)}, here {now[key]}{cures.get(key, '')}"
+        for key in ("versions", "processor", "vectors", "commit")
         if then.get(key) != now[key]
     ]
     raise ValueError("; ".join([f"{record} comes out otherwise here", *changed]))
@@ -216,7 +219,8 @@ def _run_command(name: str, size: Scale):
                 f"{experiment} is paid by the reward of another run: first `offairl run "
                 f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
             )
-        inherited = runs.inherit(config, seeds, frozen=frozen, carried=carried, guide=guide)
+        sources = {"frozen": frozen, "carried": carried, "guide": guide}
+        inherited = runs.inherit(config, seeds, **sources)
         data = None
         if config.learns_reward:
             data = demonstrations.load(config.env_id, trajectories, dataset, subsample, experts)
@@ -237,6 +241,7 @@ def _run_command(name: str, size: Scale):
             subsample=subsample,
             experts=experts,
             **inherited,
+            sources=sources,
             experiment=experiment,
             scale=scale,
             shards=processes,

@@ -1,6 +1,7 @@
 """Records of runs: the files of a run's folder, and how they are read and written.
 
-- `config.json`: what the run is: every field of `Config`, seeds, execution, demonstrations;
+- `config.json`: what the run is: every field of `Config`, seeds, execution, demonstrations, and
+  what it has of other runs;
 - `curve.csv`: one row for each seed and evaluation;
 - `run.json`: what produced it: versions, machine, start, wall time, state;
 - `frozen.safetensors`: the reward that was given, if one was;
@@ -14,7 +15,7 @@ import io
 import json
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -59,6 +60,8 @@ class Plan:
         checkpoint_every: steps and updates, together, between checkpoints.
         experiment: the name under which it was run, if any.
         scale: the scale at which it was run, if any.
+        inherited: what it has of other runs: `frozen`, `carried` and `guide`, each with the `files`
+            that it was loaded from and its `digest`.
     """
 
     config: Config
@@ -68,6 +71,7 @@ class Plan:
     checkpoint_every: int
     experiment: str | None = None
     scale: str | None = None
+    inherited: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -83,6 +83,7 @@ def create(
     reward: Reward | None = None,
     policy: Policy | None = None,
     guide: Policy | None = None,
+    sources: Mapping[str, Sequence[Path]] | None = None,
     experiment: str | None = None,
     scale: str | None = None,
     shards: int = 1,
@@ -104,6 +105,7 @@ def create(
         reward: a frozen reward, where `config.reward` is `frozen`.
         policy: one to carry over, where `config.carry` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
+        sources: the files that `frozen`, `carried` and `guide` were loaded from, for the record.
         experiment: its name, for the record.
         scale: its scale, for the record.
         shards: groups that the members are split into, for as many processes.
@@ -124,8 +126,9 @@ def create(
         )
     # Made so that what does not fit is refused before anything is written.
     small = replace(config, replay_size=config.update_every or 1)
-    inherited = {"reward": reward, "policy": policy, "guide": guide}
-    Trainer(small, seeds, demonstrations, **inherited, execution=execution)
+    given = {"reward": reward, "policy": policy, "guide": guide}
+    Trainer(small, seeds, demonstrations, **given, execution=execution)
+    inherited = {INHERITED[name]: thing for name, thing in given.items() if thing is not None}
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
     if demonstrations is not None:
@@ -145,6 +148,10 @@ def create(
         checkpoint_every,
         experiment,
         scale,
+        {
+            name: {"files": [*map(str, (sources or {}).get(name, ()))], "digest": _weights(thing)}
+            for name, thing in inherited.items()
+        },
     )
     there = folder.absolute()
     needed = disk_use(plan)
@@ -157,8 +164,7 @@ def create(
         (hidden / "curve.csv").write_text(HEADER)
         write_json(hidden / "run.json", {"state": "waiting", **origin(execution), "shards": {}})
         for name, thing in inherited.items():
-            if thing is not None:
-                thing.save(hidden / f"{INHERITED[name]}.safetensors")
+            thing.save(hidden / f"{name}.safetensors")
         os.replace(hidden, there)
     except BaseException:
         shutil.rmtree(hidden, ignore_errors=True)
@@ -247,9 +253,9 @@ def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tu
         Pairs of a recorded row and the same one, as it comes out here and now.
 
     Raises:
-        FileNotFoundError: there is no such record, or what it had of another run is not kept.
-        ValueError: the demonstrations are no longer those it began with, or the record has not so
-            many evaluations.
+        FileNotFoundError: there is no such record, or what it had of another run is gone.
+        ValueError: the demonstrations, or what it had of another run, are no longer those it began
+            with, or the record has not so many evaluations.
     """
     plan = Plan.read(folder)
     shard, execution = plan.shards[0], Execution(**plan.execution)
@@ -553,7 +559,7 @@ def _identity(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Any
         "checkpoint_every": plan.checkpoint_every,
         "demonstrations": plan.demonstrations and plan.demonstrations["digest"],
         **{
-            INHERITED[name]: _digest({"params": thing.params, **thing.normaliser._asdict()})
+            INHERITED[name]: _weights(thing)
             for name, thing in _inherited(folder, plan, shard).items()
         },
     }
@@ -562,12 +568,29 @@ def _identity(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Any
 
 
 def _inherited(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Reward | Policy]:
-    """Return what a shard has of other runs, by the names that `Trainer` has for it."""
+    """Return what a shard has of other runs, by the names that `Trainer` has for it.
+
+    A record is without the copies of a run's folder: there they are made anew from the files that
+    the plan names.
+
+    Raises:
+        FileNotFoundError: it is in neither place.
+        ValueError: it is not what the run began with.
+    """
+    files = {}
+    for name in (INHERITED[name] for name in _heritable(plan.config)):
+        copy, sources = folder / f"{name}.safetensors", plan.inherited.get(name, {}).get("files")
+        files[name] = [Path(f) for f in sources] if sources and not copy.is_file() else [copy]
+    found = inherit(plan.config, plan.seeds, **files)
+    for name, thing in found.items():
+        was = plan.inherited.get(INHERITED[name])
+        if was and _weights(thing) != was["digest"]:
+            raise ValueError(
+                f"{' and '.join(map(str, files[INHERITED[name]]))} is not the {name} that {folder} "
+                "began with: put that back, or start a new run"
+            )
     members = [*map(plan.seeds.index, shard)]
-    return {
-        name: kind.load(folder / f"{INHERITED[name]}.safetensors").member(*members)
-        for name, kind in _heritable(plan.config).items()
-    }
+    return {name: thing.member(*members) for name, thing in found.items()}
 
 
 def _heritable(config: Config) -> dict[str, type[Reward] | type[Policy]]:
@@ -625,6 +648,11 @@ def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) 
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array)
     return digest.hexdigest()
+
+
+def _weights(thing: Reward | Policy) -> str:
+    """Return the SHA-256 of parameters and normaliser."""
+    return _digest({"params": thing.params, **thing.normaliser._asdict()})
 
 
 def _ends(replay: Replay) -> str:
@@ -744,6 +772,7 @@ def origin(execution: Execution) -> dict[str, Any]:
         "versions": {name: version(name) for name in PACKAGES},
         "machine": platform.machine(),
         "processor": processor(),
+        "vectors": torch.backends.cpu.get_cpu_capability(),
         "cores": os.cpu_count(),
         "threads": execution.threads,
         "commit": _commit(),

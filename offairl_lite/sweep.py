@@ -143,8 +143,8 @@ def subcommand(
         fresh = {
             name: point for name, point in points.items() if not _there(folder / name, point, seeds)
         }
-        data, files = {}, {"frozen": frozen, "carried": carried, "guide": guide}
-        inherited = {name: runs.inherit(point, seeds, **files) for name, point in fresh.items()}
+        data, sources = {}, {"frozen": frozen, "carried": carried, "guide": guide}
+        inherited = {name: runs.inherit(point, seeds, **sources) for name, point in fresh.items()}
         for point in fresh.values():
             if point.learns_reward and point.env_id not in data:
                 data[point.env_id] = demonstrations.load(
@@ -161,6 +161,7 @@ def subcommand(
                 subsample=subsample,
                 experts=experts,
                 **inherited[name],
+                sources=sources,
                 experiment=experiment,
                 scale=scale,
             )

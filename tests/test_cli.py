@@ -125,6 +125,9 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     given = f"--frozen {reward} --carry policy --carried {policy} --start-steps 20"
     offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
     assert read(elsewhere / "carried").config.start_steps == 20
+    sources = Plan.read(elsewhere / "carried").inherited
+    files = {name: about["files"] for name, about in sources.items()}
+    assert files == {"frozen": [str(reward)], "carried": [str(policy)], "guide": [str(guide)]}
     assert len(Policy.load(elsewhere / "carried" / "guide.safetensors")) == 2
     message = failure(f"run maze-transfer {given} --out other {SMALL}", capsys)
     assert "a guide of another run is needed: give --guide RUN/policy" in message
@@ -345,8 +348,11 @@ def test_a_record_is_verified(capsys, elsewhere):
     fields = rows[1].split(",")
     fields[4] = fields[4].replace("-", "-1", 1)
     curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
-    origin.write_text(json.dumps({**json.loads(origin.read_text()), "processor": "an abacus"}))
+    others = {"processor": "an abacus", "vectors": "ten"}
+    origin.write_text(json.dumps({**json.loads(origin.read_text()), **others}))
     message = failure("verify one", capsys)
     assert "one comes out otherwise here" in message
     assert "processor: an abacus, here" in message
+    assert "vectors: ten, here" in message
+    assert "(the environment variable ATEN_CPU_CAPABILITY sets them)" in message
     assert "versions" not in message

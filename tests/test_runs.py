@@ -399,7 +399,7 @@ def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
     runs.extend(folder, 200)
     changed = replace(given["guide"], params=given["guide"].params + 1)
     changed.save(folder / "guide.safetensors")
-    with pytest.raises(ValueError, match=r"of another run than .*: guide was .* put back"):
+    with pytest.raises(ValueError, match=r"guide\.safetensors is not the guide .* put that back"):
         resume(folder)
 
 
@@ -427,7 +427,7 @@ def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
         runs.add_seeds(folder, (8,))
     runs.extend(folder, 200)
     replace(reward, params=reward.params + 1).save(folder / "frozen.safetensors")
-    with pytest.raises(ValueError, match=r"of another run than .*: frozen was .* put back"):
+    with pytest.raises(ValueError, match=r"frozen\.safetensors is not the reward .* put that"):
         resume(folder)
 
 
@@ -743,4 +743,23 @@ def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrat
     assert len(runs.verify(folder, progress=False)) == 2
     (folder / "carried.safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"carried\.safetensors"):
+        runs.verify(folder)
+
+
+def test_a_record_finds_what_it_had_of_other_runs_where_it_was(plain, folder, tmp_path):
+    config = replace(plain, reward="frozen", carry="policy", start_steps=20)
+    sources = {name: (tmp_path / name,) for name in ("frozen", "carried", "guide")}
+    frozen_reward(2).save(*sources["frozen"])
+    policy(plain).save(*sources["carried"])
+    policy(plain).member(1).save(*sources["guide"])  # One for both.
+    run(folder, config, **runs.inherit(config, SEEDS, **sources), sources=sources)
+    expected = runs.verify(folder, progress=False)
+    for name in sources:
+        (folder / f"{name}.safetensors").unlink()
+    assert repr(runs.verify(folder, progress=False)) == repr(expected)
+    frozen_reward(3).member(1, 2).save(*sources["frozen"])
+    with pytest.raises(ValueError, match=r"frozen is not the reward that .* began with"):
+        runs.verify(folder)
+    sources["frozen"][0].unlink()
+    with pytest.raises(FileNotFoundError, match="frozen"):
         runs.verify(folder)

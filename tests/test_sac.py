@@ -8,6 +8,7 @@ import torch
 
 from offairl_lite.absorbing import absorbing_state, is_absorbing
 from offairl_lite.config import CORRECTED
+from offairl_lite.execution import PIECE
 from offairl_lite.networks import Normaliser
 from offairl_lite.replay import Batch
 from offairl_lite.sac import (
@@ -115,7 +116,7 @@ def test_the_squashed_density_by_hand(action, log_density):
 
 
 @pytest.mark.parametrize("log_density", ["exact", "released"])
-def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density):
+def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density, monkeypatch):
     learner, (batch, *_) = make(hidden=(160,), log_density=log_density), data()
     many = batch._replace(
         **{name: getattr(batch, name).repeat_interleave(200, 1) for name in ("obs", "pre_tanh")}
@@ -123,7 +124,16 @@ def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density):
     expected = learner.actor.log_prob(
         learner.actor_params, learner.normaliser(many.obs), many.pre_tanh, log_density
     )
+    actor, shapes = type(learner.actor), []
+    whole = actor.log_prob
+
+    def log_prob(self, params, obs, pre_tanh, density):
+        shapes.append(tuple(obs.shape[:2]))
+        return whole(self, params, obs, pre_tanh, density)
+
+    monkeypatch.setattr(actor, "log_prob", log_prob)
     torch.testing.assert_close(learner.log_prob(many), expected)
+    assert shapes == [(1, PIECE), (1, PIECE), (1, 200 * B - 2 * PIECE)] * 2  # two members
 
 
 def test_an_update_of_the_critics_by_hand():

@@ -153,6 +153,14 @@ def test_a_sweep_makes_its_folders_does_its_work_and_shows_the_returns(offairl, 
     ]
 
 
+def test_runs_are_told_where_their_reward_is_from(offairl):
+    reward = Path(__file__).parents[1] / "book/records/maze-imitation-demo/reward.safetensors"
+    line = f"maze-transfer --grid temperature=0.1,0.2 --frozen {reward} {SMALL}"
+    made = [given for _, given in offairl(line, "maze-transfer")]
+    assert [given["sources"]["frozen"] for given in made] == [(reward,)] * 2
+    assert all(len(given["reward"]) == 5 for given in made)
+
+
 def test_folders_can_be_prepared_and_worked_on_later(offairl):
     line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
     assert len(offairl(f"{line} --prepare")) == 2

@@ -10,11 +10,11 @@ import nbformat
 import numpy as np
 import pytest
 
-from offairl_lite import records
+from offairl_lite import records, runs
 from offairl_lite.config import Config, differences
 from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
 from offairl_lite.records import Plan, read_json
-from offairl_lite.runs import PACKAGES
+from offairl_lite.runs import INHERITED, PACKAGES
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"
@@ -101,6 +101,12 @@ EARLY = {
     "maze-imitation-released-loss-demo",
     "maze-transfer-demo",
 }
+# These were made before a run said what it has of which other runs.
+NAMELESS = {"maze-transfer-demo"} | {
+    folder
+    for folder in FOLDERS
+    if re.match(r"ant-transfer-demo/(?!true)|maze-retraining-demo/[48]-", folder)
+}
 FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.safetensors"}
 FILES |= {"frozen.safetensors", "carried.safetensors", "guide.safetensors"}
 
@@ -147,6 +153,24 @@ def test_a_record_is_of_the_experiment_that_it_names(folder):
         assert shown["trajectories"] > 0
         assert shown.get("experts") == EXPERIMENTS[plan.experiment].experts[plan.scale]
         assert folder in EARLY or re.fullmatch(r"[0-9a-f]{64}", shown["digest"])
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_record_names_what_it_has_of_other_runs(folder, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    plan = Plan.read(HOME / folder)
+    needed = {INHERITED[name] for name in runs._heritable(plan.config)}
+    if folder in NAMELESS:
+        assert needed
+        assert not plan.inherited
+        return
+    assert set(plan.inherited) == needed
+    kept = [Path(f) for about in plan.inherited.values() for f in about["files"]]
+    assert all(about["files"] for about in plan.inherited.values())
+    # Policies of large networks are megabytes, and not here.
+    assert all(path.is_file() for path in kept if path.parts[0] != "runs")
+    if all(path.is_file() for path in kept):
+        runs._inherited(HOME / folder, plan, plan.seeds)  # It refuses what is something else.
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
