@@ -122,7 +122,7 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
     Args:
         run: its folder.
         out: the folder for the event files, a new one; by default RUN/tensorboard.
-        follow: go on writing until the run has ended.
+        follow: go on writing until the run has ended; one that was killed may be resumed.
     """
     folder = out or run / "tensorboard"
     count = logs.export(run, folder, follow)
@@ -144,8 +144,10 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
     pairs = runs.verify(record, evaluations, sys.stderr.isatty())
     print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
     for old, new in pairs:
-        print(f"{old.seed:5} {old.step:9,} {old.mean_return:12.4f} {new.mean_return:12.4f}")
-    if all(old.returns == new.returns for old, new in pairs):
+        one = old or new
+        means = (f"{row.mean_return:.4f}" if row else "diverged" for row in (old, new))
+        print(f"{one.seed:5} {one.step:9,}", *(f"{mean:>12}" for mean in means))
+    if all(old and new and old.returns == new.returns for old, new in pairs):
         return print("the same, every return of every episode")
     then, now = records.read_json(record / "run.json"), runs.origin(Execution())
     cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
@@ -213,6 +215,7 @@ def _run_command(name: str, size: Scale):
             processes: that share the members; by default one, or for large networks one a core.
             config: everything else.
         """
+        sweep.require_defaults(experiment, scale, name, size)
         if config.reward == "frozen" and not frozen:
             source = find(experiment).reward_from or "maze-imitation"
             raise ValueError(
@@ -310,7 +313,11 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
 
 def main(args: Sequence[str] | None = None) -> None:
     """Off-policy adversarial inverse reinforcement learning, from the command line."""
-    args = list(sys.argv[1:] if args is None else args)
+    args = [
+        part
+        for arg in (sys.argv[1:] if args is None else args)
+        for part in (arg.split("=", 1) if arg.startswith("--") else [arg])
+    ]
     try:
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         name = next((arg for arg in args if arg in EXPERIMENTS), "maze-imitation")

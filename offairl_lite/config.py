@@ -235,6 +235,29 @@ class Config:
                 f"warmup_steps is {self.warmup_steps}, total_steps {self.total_steps}: nothing "
                 "would be trained; lower warmup_steps"
             )
+        first = self.update_every or 0
+        first += self.warmup_steps if self.generator == "ppo" else 0
+        if first > self.total_steps:
+            raise ValueError(
+                f"update_every is {self.update_every}, total_steps {self.total_steps}: nothing "
+                "would be trained; lower update_every"
+            )
+        if self.gradient_penalty < 0:
+            raise ValueError(f"gradient_penalty is {self.gradient_penalty!r}; expected 0 or more")
+        for name in (
+            "hidden",
+            "trunk_hidden",
+            "primitive_hidden",
+            "gate_hidden",
+            "reward_hidden",
+            "shaping_hidden",
+        ):
+            if not all(size > 0 for size in getattr(self, name)):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; expected positive sizes")
+        if not self.log_std_range[0] < self.log_std_range[1]:
+            raise ValueError(
+                f"log_std_range is {self.log_std_range!r}; expected a lower and an upper bound"
+            )
         if self.warmup_hold < 1:
             raise ValueError(f"warmup_hold is {self.warmup_hold!r}; expected at least 1 step")
         log_prob_needed = self.reward.startswith("implementation") or self.reward == "gan-gcl"

@@ -129,20 +129,25 @@ class Reward:
 
     def member(self, *index: int) -> "Reward":
         """Return the population of these members alone."""
-        rows = list(index)
-        normaliser = Normaliser(*(part[rows] for part in self.normaliser))
-        return Reward(self.env_id, self.net, self.state_only, self.params[rows], normaliser)
+        params, normaliser = self.params[list(index)], self.normaliser.member(*index)
+        return replace(self, params=params, normaliser=normaliser)
 
     def to(self, device: str | torch.device) -> "Reward":
         """Return the same rewards on a device."""
-        normaliser = Normaliser(*(part.to(device) for part in self.normaliser))
-        return replace(self, params=self.params.to(device), normaliser=normaliser)
+        params, normaliser = self.params.to(device), self.normaliser.to(device)
+        return replace(self, params=params, normaliser=normaliser)
 
     @torch.no_grad()
     def __call__(
         self, obs: Float[Tensor, "S B O"], action: Float[Tensor, "S B A"] | None = None
     ) -> Float[Tensor, "S B"]:
-        """Return r; `action` may be left out of a reward of the state alone."""
+        """Return r; `action` may be left out of a reward of the state alone.
+
+        Raises:
+            ValueError: it is left out of a reward of state and action.
+        """
+        if not self.state_only and action is None:
+            raise ValueError(f"the reward of {self.env_id} is r(s, a): give it the actions, too")
         obs = self.normaliser(obs)
         x = obs if self.state_only else torch.cat([obs, action], -1)
         return self.net(self.params, x).squeeze(-1)
@@ -167,12 +172,16 @@ class Reward:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the file holds something else.
+            ValueError: the file holds something else, or weights of another shape.
         """
         tensors, about = load_weights(path, "reward")
         net = StackedMLP(tuple(about["sizes"]), about["activation"])
-        normaliser = Normaliser(tensors["mean"], tensors["std"])
-        return cls(about["env_id"], net, about["state_only"], tensors["params"], normaliser)
+        params, normaliser = tensors["params"], Normaliser(tensors["mean"], tensors["std"])
+        if params.shape[1:] != (net.num_params,):
+            raise ValueError(
+                f"{path}: weights {tuple(params.shape)}, expected (S, {net.num_params})"
+            )
+        return cls(about["env_id"], net, about["state_only"], params, normaliser)
 
 
 class Discriminator:

@@ -32,7 +32,7 @@ class Execution:
             no precision; see `with_onednn`.
 
     Raises:
-        ValueError: there is no such device, or no compiler.
+        ValueError: there is no such device, or no compiler, or `threads` is below 1.
     """
 
     device: str = "cpu"

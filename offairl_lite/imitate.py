@@ -41,7 +41,17 @@ CHUNK = 50
 
 
 class Row(NamedTuple):
-    """One evaluation of one member."""
+    """One evaluation of one member.
+
+    Args:
+        seed: of the member.
+        step: environment steps until then.
+        episodes: that it had ended until then.
+        mean_return: of the evaluation's episodes, by the task's own reward, not discounted.
+        returns: of each of them.
+        learned_return: mean sum of the learned reward along them; NaN where none is learned.
+        metrics: diagnostics of the last update, by name; `records.METRICS` has them all.
+    """
 
     seed: int
     step: int
@@ -328,9 +338,9 @@ class Trainer:
 
     def _start(self, begins: Bool[np.ndarray, "S"]) -> None:
         """Draw for how long the guide acts in episodes that begin."""
-        if self.config.start_steps and begins.any():
-            drawn = self.streams.integers([self.config.start_steps + 1] * len(begins), 1)
-            self.guided = torch.where(torch.from_numpy(begins), drawn[:, 0].cpu(), self.guided)
+        if self.config.start_steps:
+            for i in np.flatnonzero(begins):
+                self.guided[i] = self.streams.integer(i, self.config.start_steps + 1)
 
     def _store(self, batch: Batch, members: Int[Tensor, "M"]) -> None:
         if self.config.absorbing == "none":
@@ -411,8 +421,10 @@ class Trainer:
         else:
             for minibatches in _chunks(updates):
                 self._train_generator(minibatches, actor_params)
+        # Those that were given up have been trained along, so they are zeroed again.
+        lost = torch.tensor([seed in self.diverged for seed in self.seeds], device=self.device)
         for name, weights in self._learned().items():
-            self._give_up(name, ~weights.isfinite().all(-1))
+            self._give_up(name, lost | ~weights.isfinite().all(-1))
 
     def _train_discriminator(self, minibatches: int) -> None:
         size = max(self.config.batch_size // self.horizon, 1) * self.horizon
@@ -558,7 +570,7 @@ class Trainer:
         return tensors
 
     def _give_up(self, name: str, diverged: Bool[Tensor, "S"]) -> None:
-        """Go on without some members: with weights of zero they do no harm, and learn nothing.
+        """Go on without some members: with weights of zero they do no harm.
 
         Raises:
             FloatingPointError: nobody is left.
@@ -588,7 +600,7 @@ class Trainer:
         }
 
     def state(self) -> dict[str, Tensor]:
-        """Return everything that the future depends on, but the rows of the replay."""
+        """Return what the future depends on, but the rows of the replay and `diverged`."""
         tensors = {
             "counts": torch.tensor([self.steps, self.block_start, self.evaluated]),
             "owed": torch.tensor(self.owed, dtype=torch.long),

@@ -60,7 +60,8 @@ def export(run: Path, folder: Path, follow: bool = False) -> int:
     Args:
         run: its folder.
         folder: for the event files.
-        follow: whether to go on until the run has ended.
+        follow: whether to go on until the run has ended. One that was killed has not: it may be
+            resumed.
 
     Returns:
         How many evaluations there were.

@@ -50,6 +50,14 @@ class Normaliser(NamedTuple):
         std = torch.stack(squares).mean(0).sqrt()
         return cls(mean, torch.where(std < 1e-3, 1.0, std))
 
+    def member(self, *index: int) -> Self:
+        """Return the maps of these members alone."""
+        return type(self)(*(part[list(index)] for part in self))
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the same maps on a device."""
+        return type(self)(*(part.to(device) for part in self))
+
     def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:
         """Scale observations."""
         return (obs - self.mean) / self.std

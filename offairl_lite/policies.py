@@ -320,14 +320,13 @@ class Policy:
 
     def member(self, *index: int) -> "Policy":
         """Return the population of these members alone."""
-        rows = list(index)
-        normaliser = Normaliser(*(part[rows] for part in self.normaliser))
-        return Policy(self.env_id, self.actor, self.params[rows], normaliser)
+        params, normaliser = self.params[list(index)], self.normaliser.member(*index)
+        return replace(self, params=params, normaliser=normaliser)
 
     def to(self, device: str | torch.device) -> "Policy":
         """Return the same policies on a device."""
-        normaliser = Normaliser(*(part.to(device) for part in self.normaliser))
-        return replace(self, params=self.params.to(device), normaliser=normaliser)
+        params, normaliser = self.params.to(device), self.normaliser.to(device)
+        return replace(self, params=params, normaliser=normaliser)
 
     @torch.no_grad()
     def act(

@@ -4,7 +4,8 @@
   what it has of other runs;
 - `curve.csv`: one row for each seed and evaluation;
 - `run.json`: what produced it: versions, machine, start, wall time, state;
-- `frozen.safetensors`: the reward that was given, if one was;
+- `frozen.safetensors`, `carried.safetensors`, `guide.safetensors`: the reward and the policies of
+  other runs that were given, if any were;
 - `policy.safetensors`: the policies at the end;
 - `reward.safetensors`: the learned rewards at the end, if any;
 - `members/`: what it takes to go on (see `runs`).

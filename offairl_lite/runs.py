@@ -124,8 +124,10 @@ def create(
             f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
             "for a new one choose another --out"
         )
-    # Made so that what does not fit is refused before anything is written.
+    # Made so that what does not fit is refused before anything is written. Whether a replay fits
+    # is a question for GAN-GCL alone, whose own are small.
     small = replace(config, replay_size=config.update_every or 1)
+    small = config if config.reward == "gan-gcl" else small
     given = {"reward": reward, "policy": policy, "guide": guide}
     Trainer(small, seeds, demonstrations, **given, execution=execution)
     inherited = {INHERITED[name]: thing for name, thing in given.items() if thing is not None}
@@ -240,7 +242,9 @@ def _demonstrations(
     return given
 
 
-def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tuple[Row, Row]]:
+def verify(
+    folder: Path, evaluations: int = 1, progress: bool = True
+) -> list[tuple[Row | None, Row | None]]:
     """Do the beginning of a recorded run again, in memory, and set it beside the record.
 
     Args:
@@ -250,7 +254,8 @@ def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tu
         progress: whether to show a bar.
 
     Returns:
-        Pairs of a recorded row and the same one, as it comes out here and now.
+        Pairs of a recorded row and the same one, as it comes out here and now; None stands for a
+        member that had diverged, there or here.
 
     Raises:
         FileNotFoundError: there is no such record, or what it had of another run is gone.
@@ -271,8 +276,9 @@ def verify(folder: Path, evaluations: int = 1, progress: bool = True) -> list[tu
         while trainer.evaluated < last:
             again += trainer.advance()
             bar.update(trainer.trained - bar.n)
-    there = {(row.seed, row.step): row for row in rows}
-    return [(there[row.seed, row.step], row) for row in again]
+    there = {(row.seed, row.step): row for row in rows if row.step <= last}
+    here = {(row.seed, row.step): row for row in again}
+    return [(there.get(key), here.get(key)) for key in there | here]
 
 
 def unfinished(

@@ -43,6 +43,10 @@ class Streams:
         """Draw integers uniform in [0, high), `(S, *shape)`, with a bound for each member."""
         return self._stack(lambda i, g: torch.randint(high[i], shape, generator=g))
 
+    def integer(self, member: int, high: int) -> Int[Tensor, ""]:
+        """Draw an integer uniform in [0, high) for one member alone."""
+        return torch.randint(high, (), generator=self.generators[member])
+
     @property
     def state(self) -> UInt8[Tensor, "S bytes"]:
         """The generators' states, one row a member; assign it to go on from there."""

@@ -75,6 +75,25 @@ def _parse(name: str, value: Any, kind: Any) -> Any:
         raise ValueError(f"{name} is {text!r}; expected {kind}") from None
 
 
+def require_defaults(experiment: str, scale: Scale, name: str, size: Scale) -> None:
+    """Refuse a command line whose defaults are not those of its experiment and scale.
+
+    Args:
+        experiment: that the command line asks for.
+        scale: that it asks for.
+        name: of the experiment that the defaults were taken from.
+        size: the scale that they were taken from.
+
+    Raises:
+        ValueError: they are of another experiment or scale.
+    """
+    if (experiment, scale) != (name, size):
+        raise ValueError(
+            f"{experiment} at {scale} scale was asked for, and the defaults are those of {name} at "
+            f"{size} scale: name the experiment before all options"
+        )
+
+
 def subcommand(
     name: str, size: Scale, create: Callable[..., str], command: jobs.Command = jobs.resume
 ):
@@ -86,7 +105,7 @@ def subcommand(
         create: makes a run folder and returns the disk that it needs: `runs.create`.
         command: what a job runs.
     """
-    experiment = find(name)
+    experiment, defaults = find(name), (name, size)
 
     def sweep(
         experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
@@ -137,13 +156,22 @@ def subcommand(
             compile: whether updates are compiled; auto: long runs of large networks.
             config: what all runs have in common.
         """
+        require_defaults(experiment, scale, *defaults)
         points = _points(find(experiment), config, grid, only)
         kind = "sweep-" if grid else ""
         folder = out or Path("runs") / f"{kind}{experiment}-{scale}"
-        fresh = {
-            name: point for name, point in points.items() if not _there(folder / name, point, seeds)
-        }
         data, sources = {}, {"frozen": frozen, "carried": carried, "guide": guide}
+        given = {
+            "seeds": seeds,
+            "dataset": dataset,
+            "trajectories": trajectories,
+            "subsample": subsample,
+            "experts": None if dataset else experts,
+            **{name: [*map(str, files)] for name, files in sources.items()},
+        }
+        fresh = {
+            name: point for name, point in points.items() if not _there(folder / name, point, given)
+        }
         inherited = {name: runs.inherit(point, seeds, **sources) for name, point in fresh.items()}
         for point in fresh.values():
             if point.learns_reward and point.env_id not in data:
@@ -216,19 +244,29 @@ def _points(
     return points
 
 
-def _there(folder: Path, config: Config, seeds: Sequence[int]) -> bool:
+def _there(folder: Path, config: Config, given: dict[str, Any]) -> bool:
     """Return whether there is a run already, which must be one of the same kind.
 
+    Args:
+        folder: of the run.
+        config: that it must have.
+        given: what decides a run beside its configuration: seeds, demonstrations, files.
+
     Raises:
-        ValueError: it is of another configuration, or of other seeds.
+        ValueError: it is of another configuration, or something else was given to it.
     """
     if not (folder / "config.json").exists():
         return False
     plan = Plan.read(folder)
-    found = {"seeds": (plan.seeds, tuple(seeds)), **differences(plan.config, config)}
+    files = {name: about["files"] for name, about in plan.inherited.items() if about["files"]}
+    there = {"seeds": plan.seeds, **(plan.demonstrations or {}), **files}
+    found = {name: (there[name], now) for name, now in given.items() if name in there}
+    found |= differences(plan.config, config)
     found = [f"{name} {was!r}, not {now!r}" for name, (was, now) in found.items() if was != now]
     if found:
-        raise ValueError(f"{folder} is a run with {', '.join(found)}: choose another --out")
+        raise ValueError(
+            f"{folder} is a run with {', '.join(found)}: give the same, or choose another --out"
+        )
     return True
 
 

@@ -10,7 +10,7 @@ from IPython.display import HTML
 from jaxtyping import UInt8
 
 from offairl_lite import envs
-from offairl_lite.absorbing import extend
+from offairl_lite.evaluate import seen
 from offairl_lite.policies import Policy
 
 
@@ -27,7 +27,8 @@ def frames(
         every: steps between frames.
 
     Raises:
-        ValueError: the policy has more than one member.
+        ValueError: the policy has more than one member, or the task's observations are of another
+            size than it sees.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members in one film; choose one: policy.member(0)")
@@ -35,9 +36,8 @@ def frames(
     obs, _ = env.reset()
     pictures = [env.render()[0]]
     for step in range(1, max_steps + 1):
-        seen = torch.as_tensor(obs, dtype=torch.float32).unsqueeze(1)
-        seen = seen if policy.actor.obs_dim == seen.shape[-1] else extend(seen)
-        obs, _, terminated, truncated, _ = env.step(policy.act(seen).squeeze(1).numpy())
+        x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
+        obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
         if step % every == 0:
             pictures.append(env.render()[0])
         if terminated[0] or truncated[0]:

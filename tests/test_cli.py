@@ -160,6 +160,7 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
         ("run maze-imitation --help", "demo", "6000"),
         ("run maze-imitation --help", "full", "1000000"),
         ("run maze-imitation --scale full --help", "demo", "1000000"),
+        ("run maze-imitation --scale=full --help", "demo", "1000000"),
         ("run maze-expert --help", "demo", "16000"),
     ]:
         monkeypatch.setenv("OFFAIRL_SCALE", variable)
@@ -177,6 +178,10 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
             "`offairl run maze-imitation`, then add --frozen runs/maze-imitation-demo/reward",
         ),
         ("run maze-transfer --frozen no.safetensors", "no reward at no.safetensors"),
+        (
+            f"run --out maze-imitation maze-expert {SMALL}",
+            "the defaults are those of maze-imitation at demo scale: name the experiment before",
+        ),
         ("run maze-imitation --env-id Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         (f"run maze-expert --env-id Nowhere-v0 {SMALL}", "unknown environment 'Nowhere-v0'"),
         ("run imitate --env-id Nowhere-v0 --dataset my/pendulum-v0", "Nowhere"),

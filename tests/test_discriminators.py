@@ -542,6 +542,18 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
     assert (f[0] != f[1]).all()
 
 
+def test_a_reward_of_state_and_action_needs_both():
+    with pytest.raises(ValueError, match=r"is r\(s, a\): give it the actions, too"):
+        make(CONFIGS["r(s, a)"]).frozen(data()[0].obs)
+
+
+def test_a_file_with_weights_of_another_shape_is_no_reward(tmp_path):
+    reward = make(CONFIGS["r(s)"]).frozen
+    replace(reward, params=reward.params[:, 1:]).save(tmp_path / "cut")
+    with pytest.raises(ValueError, match=r"cut: weights \(2, \d+\), expected \(S, \d+\)"):
+        Reward.load(tmp_path / "cut")
+
+
 def test_a_reward_of_the_state_needs_no_action():
     discriminator, batch = make(CONFIGS["r(s)"]), data()[0]
     expected = discriminator.reward(batch, None)

@@ -135,7 +135,7 @@ def test_misfits_are_refused():
     policy = random_policy("offairl/PointMazeLeft-v0")
     with pytest.raises(ValueError, match="3 seeds for a policy of 2 members"):
         rollout(policy, policy.env_id, (0, 1, 2), 1)
-    with pytest.raises(ValueError, match="sees 3 numbers; Hopper-v5 gives 11"):
+    with pytest.raises(ValueError, match="sees 3 numbers, and the task gives 11"):
         rollout(policy, "Hopper-v5", SEEDS, 1)
 
 
@@ -204,6 +204,7 @@ def test_probability_of_improvement_is_the_share_of_pairs_won():
     back, *_ = probability_of_improvement(other, one)
     assert back == pytest.approx(1 - share)
     assert probability_of_improvement(one + 9, other) == (1, 1, 1)
+    assert probability_of_improvement(one[:1], other) == (0.75, 0, 1)
 
 
 def test_the_interval_of_the_probability_covers_it():

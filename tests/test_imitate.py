@@ -444,9 +444,9 @@ def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, monkeypatch):
         return original(self, expert, policy, *rest)
 
     monkeypatch.setattr(Discriminator, "update", update)
-    blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200}
+    blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200, "total_steps": 300}
     config = replace(tiny, **blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
-    trainer = Trainer(replace(config, total_steps=300), (0, 1), maze)
+    trainer = Trainer(config, (0, 1), maze)
     until(trainer, lambda t: seen)
     assert len(seen) == 3
     shown, last = maze.transitions.obs.view(-1, 100, 3), trainer.replay.last(200).obs
@@ -511,6 +511,27 @@ def test_divergence_names_seed_step_and_tensor_and_spares_the_others(tiny, delay
     beside = run(config, (3, 7), None, frozen_reward(2))
     assert torch.equal(result.policy.params[0], beside.policy.params[0])
     assert result.rows[-1] == beside.rows[-2]
+
+
+def test_who_was_given_up_stays_at_zero(tiny):
+    trainer = Trainer(replace(tiny, reward="environment", total_steps=400), (3, 7))
+    until(trainer, lambda t: t.steps == 150)
+    trainer.generator.actor_params.data[1, 0] = torch.nan
+    with pytest.warns(UserWarning, match="seed 7 diverged by step 150: its actions"):
+        finish(trainer)
+    assert trainer.trained == 400  # in blocks of 100, of which two came after
+    for weights in trainer._learned().values():
+        assert (weights[1] == 0).all()
+        assert (weights[0] != 0).any()
+
+
+def test_a_guide_s_steps_are_drawn_for_those_alone_who_begin(tiny):
+    config = replace(tiny, reward="environment", start_steps=40)
+    trainer = Trainer(config, range(2), guide=earlier_policy(config, 2))
+    guided, before = trainer.guided.clone(), trainer.streams.state.clone()
+    trainer._start(np.array([True, False]))
+    assert (trainer.streams.state != before).any(1).tolist() == [True, False]
+    assert trainer.guided[1] == guided[1]
 
 
 def test_when_every_member_has_diverged_the_run_stops_and_its_rows_are_there(tiny, monkeypatch):

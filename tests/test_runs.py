@@ -728,6 +728,19 @@ def test_a_record_is_verified_without_its_checkpoints(plain, folder):
         runs.verify(folder, 4)
 
 
+@pytest.mark.filterwarnings("ignore:seed . diverged")
+def test_a_member_that_diverges_here_alone_is_not_verified(plain, folder, monkeypatch):
+    run(folder, plain)
+    monkeypatch.setattr(SAC, "update", diverging(1))
+    pairs = runs.verify(folder, 2, progress=False)
+    assert [(old.seed, old.step, new is None) for old, new in pairs] == [
+        (3, 50, False),
+        (7, 50, False),
+        (3, 100, False),
+        (7, 100, True),
+    ]
+
+
 def test_only_the_first_shard_is_verified(plain, folder):
     run(folder, plain, shards=2)
     assert [new.seed for _, new in runs.verify(folder, progress=False)] == [3]

@@ -172,12 +172,27 @@ def test_folders_can_be_prepared_and_worked_on_later(offairl):
 def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
     for other, message in [
-        ("--discount 0.9", r"temperature=0.1 is a run with discount 0.99, not 0.9: choose another"),
+        (
+            "--discount 0.9",
+            r"temperature=0.1 is a run with discount 0.99, not 0.9: give the same, or",
+        ),
         ("--seeds 1", r"is a run with seeds \(0, 3\), not \(1,\)"),
     ]:
         with pytest.raises(ValueError, match=message):
             offairl(f"maze-expert --grid temperature=0.05,0.1 {SMALL} {other} --out here")
     assert os.listdir("here") == ["temperature=0.1"]
+    path = Path("here/temperature=0.1")
+    shown = {"dataset": None, "trajectories": 50, "subsample": 1, "experts": None}
+    inherited = {"frozen": {"files": ["one"], "digest": ""}}
+    replace(Plan.read(path), demonstrations=shown, inherited=inherited).write(path)
+    same = f"maze-expert --grid temperature=0.1 {SMALL} --out here --frozen one"
+    assert offairl(same) == []
+    for other, message in [
+        ("--trajectories 5", "is a run with trajectories 50, not 5: give the same, or choose"),
+        ("--frozen two", r"is a run with frozen \['one'\], not \['two'\]"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            offairl(f"{same} {other}")
     about = json.loads(Path("here/temperature=0.1/config.json").read_text())
     about["config"]["gone"] = 1
     Path("here/temperature=0.1/config.json").write_text(json.dumps(about))

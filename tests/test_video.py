@@ -33,6 +33,11 @@ def test_a_film_ends_with_its_episode():
     assert len(film) == 1
 
 
+def test_a_policy_of_another_task_is_refused():
+    with pytest.raises(ValueError, match="PointMazeLeft-v0 sees 3 numbers, and the task gives 11"):
+        video.frames(policy(), "Hopper-v5")
+
+
 def test_one_film_one_member():
     with pytest.raises(ValueError, match=r"2 members.*policy.member\(0\)"):
         video.frames(policy((0, 1)), MAZE)
