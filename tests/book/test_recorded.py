@@ -49,10 +49,10 @@ VARIED = {
         for side in ("Left", "Right")
         for learner in ("td3", "sac-fixed", "sac-learned")
     },
-    "maze-imitation-full": {"eval_every"},
     **{
-        f"maze-retraining-full/{arm}": {"eval_every"}
-        for arm in ("scratch", "policy", "policy-expert-starts", "policy-own-starts")
+        folder: {"eval_every"}
+        for folder in FOLDERS
+        if re.match(r"maze-(imitation|mcp|retraining)-full\b", folder)
     },
     **{
         f"ant-transfer-demo/{reward}-centred/{arm}": {"centre_reward"}
