@@ -529,6 +529,7 @@ _RECORDED: Mapping[tuple[str, Scale], str] = {
     ("maze-penalties/logit", "demo"): "maze-imitation-demo",
     ("experts/PointMazeLeft-sac-learned", "demo"): "maze-expert-left-demo",
     ("experts/PointMazeRight-sac-learned", "demo"): "maze-expert-right-demo",
+    ("maze-mcp/plain", "full"): "maze-imitation-full",
     **{(f"experts/{name}", "full"): f"experts/{name}" for name in _expert_variants()},
 }
 
