@@ -313,6 +313,7 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
 
 def main(args: Sequence[str] | None = None) -> None:
     """Off-policy adversarial inverse reinforcement learning, from the command line."""
+    # `--scale=full` is `--scale full`, also where it is looked for below.
     args = [
         part
         for arg in (sys.argv[1:] if args is None else args)
