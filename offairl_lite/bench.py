@@ -37,7 +37,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -59,8 +59,8 @@ from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS, BatchedEnv
 from offairl_lite.execution import Execution, compiler
 from offairl_lite.imitate import CHUNK, Trainer
+from offairl_lite.provenance import PACKAGES, processor
 from offairl_lite.replay import Batch
-from offairl_lite.runs import PACKAGES, processor
 from offairl_lite.streams import Streams
 
 TASK = "HalfCheetah-v5"
@@ -266,13 +266,14 @@ def estimate(config: Config, members: int) -> float:
         eval_episodes=1,
         replay_size=max(10_000, every),
     )
-    trainer = Trainer(short, range(members), random_demonstrations(config.env_id))
-    next_block(trainer)
-    starts = time.perf_counter()
-    next_block(trainer)
-    trained = time.perf_counter()
-    trainer.evaluate()
-    evaluated = time.perf_counter()
+    shown = random_demonstrations(config.env_id)
+    with closing(Trainer(short, range(members), shown)) as trainer:
+        next_block(trainer)
+        starts = time.perf_counter()
+        next_block(trainer)
+        trained = time.perf_counter()
+        trainer.evaluate()
+        evaluated = time.perf_counter()
     evaluation = (evaluated - trained) * config.eval_episodes
     per_step = (trained - starts) / every + evaluation / config.eval_every
     return config.total_steps * per_step

@@ -1,6 +1,5 @@
 """The command line, `offairl`: one function for each of its commands."""
 
-import os
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import gymnasium
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, jobs, logs, records, runs, scale, sweep, video
+from offairl_lite import demonstrations, jobs, logs, provenance, records, runs, scale, sweep, video
 from offairl_lite.bench import Options, estimate, measure, table
 from offairl_lite.config import Config
 from offairl_lite.execution import Execution, fitting, is_large
@@ -149,12 +148,11 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
         print(f"{one.seed:5} {one.step:9,}", *(f"{mean:>12}" for mean in means))
     if all(old and new and old.returns == new.returns for old, new in pairs):
         return print("the same, every return of every episode")
-    then, now = records.read_json(record / "run.json"), runs.origin(Execution())
+    then, now = records.read_json(record / "run.json"), provenance.origin(Execution())
     cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
     changed = [
-        f"{key}: {then.get(key)}, here {now[key]}{cures.get(key, '')}"
-        for key in ("versions", "processor", "vectors", "commit")
-        if then.get(key) != now[key]
+        f"{key}: {was}, here {here}{cures.get(key, '')}"
+        for key, (was, here) in provenance.changed(then, now).items()
     ]
     raise ValueError("; ".join([f"{record} comes out otherwise here", *changed]))
 
@@ -229,7 +227,7 @@ def _run_command(name: str, size: Scale):
             data = demonstrations.load(config.env_id, trajectories, dataset, subsample, experts)
         if processes is None:
             one_a_core = is_large(config) and device == "cpu"
-            processes = min(os.cpu_count() or 1, len(seeds)) if one_a_core else 1
+            processes = min(jobs.cores(), len(seeds)) if one_a_core else 1
         if processes < 1:
             raise ValueError(f"processes is {processes}; expected at least 1")
         execution = fitting(config, device, threads, compile)
@@ -284,7 +282,7 @@ def resume(
         runs.add_seeds(folder, seeds)
     if members:
         return runs.work(folder, members, progress=sys.stderr.isatty())
-    return _work(folder, processes or os.cpu_count() or 1)
+    return _work(folder, processes or jobs.cores())
 
 
 def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | None = None) -> None:

@@ -370,7 +370,8 @@ def from_minari(
     name = dataset.spec.dataset_id
     if trajectories is not None and dataset.total_episodes < trajectories:
         raise ValueError(
-            f"{name}: {trajectories} trajectories were asked for; it has {dataset.total_episodes}"
+            f"{name}: {trajectories} trajectories were asked for; it has {dataset.total_episodes}: "
+            f"give --trajectories {dataset.total_episodes}, or fewer"
         )
     indices = None if trajectories is None else range(trajectories)
     parts = []

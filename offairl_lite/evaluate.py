@@ -1,9 +1,10 @@
 """Episodes of a fixed policy, and the statistics of their returns."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import NamedTuple
 
+import gymnasium
 import numpy as np
 import scipy.stats
 import torch
@@ -14,6 +15,9 @@ from offairl_lite import envs
 from offairl_lite.absorbing import extend
 from offairl_lite.policies import Policy
 from offairl_lite.streams import Streams
+
+LONGEST = 20_000
+"""Steps by which an episode must end where the task has no time limit."""
 
 
 class Episodes(NamedTuple):
@@ -90,7 +94,8 @@ def rollout(
         num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
-        ValueError: seeds and members are not equally many, or an observation has the wrong size.
+        ValueError: seeds and members are not equally many, an observation has the wrong size or is
+            not finite, or an episode of a task without a time limit does not end.
     """
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
@@ -105,13 +110,21 @@ def rollout(
     running = np.ones(population * episodes, bool)
     ended = np.zeros_like(running)
     steps = []
-    with _torch_threads(num_threads):
+    limit = gymnasium.spec(env_id).max_episode_steps or LONGEST
+    with _torch_threads(num_threads), closing(env):
         while running.any():
+            if len(steps) == limit:
+                raise ValueError(
+                    f"an episode of {env_id} has not ended after {limit:,} steps: give the task a "
+                    "time limit, gymnasium.register(..., max_episode_steps=1000)"
+                )
             x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
             x = x.view(population, episodes, -1)
             noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
             action = policy.act(x, noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
+            if not (np.isfinite(next_obs).all() and np.isfinite(reward).all()):
+                raise ValueError(f"an observation or reward of {env_id} is not finite: mend it")
             steps.append((obs, action, next_obs, reward, running))
             ended |= running & terminated
             done = terminated | truncated
@@ -119,7 +132,6 @@ def rollout(
             obs = next_obs
             if done.any():
                 obs, _ = env.reset(options={"reset_mask": done})
-    env.close()
 
     columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
     obs, action, next_obs, reward, alive = (

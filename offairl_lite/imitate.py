@@ -9,6 +9,7 @@ the block of steps just taken, where the others learn from replay.
 import logging
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -314,6 +315,11 @@ class Trainer:
             guided = (self.guided > 0).to(self.device).unsqueeze(1)
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
+        finite = np.isfinite(next_obs).all(1) & np.isfinite(reward)
+        if not finite.all():
+            cure = f"mend {self.config.env_id}"
+            self._give_up("observation or reward", torch.from_numpy(~finite), cure)
+            next_obs, reward = np.nan_to_num(next_obs), np.nan_to_num(reward)
         batch = Batch(
             _float(self.obs),
             pre_tanh.cpu(),
@@ -569,7 +575,12 @@ class Trainer:
             tensors["shaping"] = self.discriminator.value_params.detach()
         return tensors
 
-    def _give_up(self, name: str, diverged: Bool[Tensor, "S"]) -> None:
+    def _give_up(
+        self,
+        name: str,
+        diverged: Bool[Tensor, "S"],
+        cure: str = "lower learning_rate or reward_scale",
+    ) -> None:
         """Go on without some members: with weights of zero they do no harm.
 
         Raises:
@@ -582,8 +593,7 @@ class Trainer:
             seed = self.seeds[member]
             if seed not in self.diverged:
                 self.diverged[seed] = (
-                    f"seed {seed} diverged by step {self.steps}: its {name} is not finite; lower "
-                    "learning_rate or reward_scale"
+                    f"seed {seed} diverged by step {self.steps}: its {name} is not finite; {cure}"
                 )
                 warnings.warn(self.diverged[seed], stacklevel=4)
         if len(self.diverged) == len(self.seeds):
@@ -617,6 +627,10 @@ class Trainer:
             tensors |= {"mean": self.generator.normaliser.mean, **self._weights()}
             tensors["std"] = self.generator.normaliser.std
         return tensors
+
+    def close(self) -> None:
+        """Close the environments; a trainer steps no more."""
+        self.env.close()
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Go on from a state of a trainer with this configuration and these seeds, exactly.
@@ -678,7 +692,8 @@ def complete(
     Args:
         trainer: a new one, or one that was restored.
         progress: whether to show a bar.
-        on_advance: called after each piece of work, with the rows of an evaluation if it was one.
+        on_advance: called after each piece of work, with the rows of an evaluation if it was one;
+            a StopIteration of its own ends the run there.
 
     Raises:
         FloatingPointError: every member has diverged.
@@ -694,7 +709,10 @@ def complete(
                 run.rows += rows
                 bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
             if on_advance is not None:
-                on_advance(rows)
+                try:
+                    on_advance(rows)
+                except StopIteration:
+                    break
         bar.update(trainer.steps - bar.n)
     run.policy, run.reward = trainer.generator.policy, trainer.reward
     return run
@@ -724,7 +742,8 @@ def train(
         execution: where and how it is computed.
         progress: whether to show a bar.
         on_evaluation: called after each evaluation with a row for each member, for logging
-            (`logs.TensorBoard` is one such) or to stop early by an exception of your own.
+            (`logs.TensorBoard` is one such); to end early with what is there, it raises
+            StopIteration.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -736,5 +755,5 @@ def train(
             on_evaluation(rows)
 
     given = {"policy": policy, "guide": guide, "execution": execution}
-    trainer = Trainer(config, seeds, demonstrations, reward, **given)
-    return complete(trainer, progress, advanced)
+    with closing(Trainer(config, seeds, demonstrations, reward, **given)) as trainer:
+        return complete(trainer, progress, advanced)

@@ -235,6 +235,12 @@ def _tail(log: Path) -> str:
     return "\n".join(lines[-TAIL:])
 
 
+def cores() -> int:
+    """Return how many cores this process may use: on a shared machine fewer than there are."""
+    allowed = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+    return len(allowed(0))
+
+
 class Processes:
     """Jobs as children of this process.
 
@@ -247,9 +253,7 @@ class Processes:
 
     def __init__(self, command: Command, workers: int | None) -> None:
         self.command = command
-        # The cores that this process may use: on a shared machine fewer than there are.
-        cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
-        self.workers = workers or len(cores(0))
+        self.workers = workers or cores()
 
     def capacity(self) -> int:
         """Return how many jobs there may be at a time."""

@@ -59,7 +59,13 @@ class Normaliser(NamedTuple):
         return type(self)(*(part.to(device) for part in self))
 
     def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:
-        """Scale observations."""
+        """Scale observations.
+
+        Raises:
+            ValueError: they have not three axes; two would be taken for every member's.
+        """
+        if obs.ndim != 3:
+            raise ValueError(f"observations have axes {tuple(obs.shape)}; expected (S, B, O)")
         return (obs - self.mean) / self.std
 
 

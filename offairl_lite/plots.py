@@ -105,7 +105,7 @@ def reward_map(
     inner = np.linspace(-0.08, LENGTH - 0.02, resolution)
     x, y = np.meshgrid(inner, inner)
     obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
-    value = reward.member(member)(obs.view(1, -1, 3)).view(x.shape).numpy()
+    value = reward.member(member).to("cpu")(obs.view(1, -1, 3)).view(x.shape).numpy()
     half = (inner[1] - inner[0]) / 2  # a pixel lies around its place
     extent = (inner[0] - half, inner[-1] + half) * 2
     image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)

@@ -7,7 +7,7 @@ density of an action that has been rounded to ±1 is lost, that of its `pre_tanh
 import math
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -338,13 +338,13 @@ class Policy:
             return self.actor.mode(self.params, obs)
         return torch.tanh(self.actor.explore(self.params, obs, noise))
 
-    def save(self, path: str | PathLike, **notes: Any) -> None:
-        """Write the population to a safetensors file, with notes (returns, seeds) beside it."""
+    def save(self, path: str | PathLike) -> None:
+        """Write the population to a safetensors file."""
         actor = {"name": type(self.actor).__name__, **asdict(self.actor)}
         save_weights(
             path,
             {"params": self.params, "mean": self.normaliser.mean, "std": self.normaliser.std},
-            {"kind": "policy", "env_id": self.env_id, "actor": actor, **notes},
+            {"kind": "policy", "env_id": self.env_id, "actor": actor},
         )
 
     @classmethod

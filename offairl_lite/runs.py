@@ -9,22 +9,17 @@ needs to go on is in `members/SEEDS/`:
 - `lock`: held by the process that is at work.
 """
 
-import errno
 import fcntl
 import hashlib
 import json
+import logging
 import os
-import platform
-import shutil
-import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
-from functools import partial
-from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -33,14 +28,15 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import demonstrations as data
-from offairl_lite import envs
+from offairl_lite import disk
 from offairl_lite.config import Config
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution
-from offairl_lite.imitate import Row, Trainer, complete, replay_slots
-from offairl_lite.networks import Normaliser, StackedMLP, load_weights, save_weights
+from offairl_lite.imitate import Row, Trainer, complete
+from offairl_lite.networks import Normaliser, load_weights, save_weights
 from offairl_lite.policies import Policy
+from offairl_lite.provenance import changed, origin
 from offairl_lite.records import (
     FORMAT,
     HEADER,
@@ -54,13 +50,12 @@ from offairl_lite.records import (
     write_whole,
 )
 from offairl_lite.replay import Replay
-from offairl_lite.sac import stochastic_actor
 from offairl_lite.streams import Streams
+
+log = logging.getLogger(__name__)
 
 CHECKPOINT_EVERY = 2_000
 """Steps and updates, together, between checkpoints."""
-
-PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 
 INHERITED = {"reward": "frozen", "policy": "carried", "guide": "guide"}
 """What a trainer may be given of other runs, and the file that holds it."""
@@ -129,7 +124,7 @@ def create(
     small = replace(config, replay_size=config.update_every or 1)
     small = config if config.reward == "gan-gcl" else small
     given = {"reward": reward, "policy": policy, "guide": guide}
-    Trainer(small, seeds, demonstrations, **given, execution=execution)
+    Trainer(small, seeds, demonstrations, **given, execution=execution).close()
     inherited = {INHERITED[name]: thing for name, thing in given.items() if thing is not None}
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
@@ -156,22 +151,19 @@ def create(
         },
     )
     there = folder.absolute()
-    needed = disk_use(plan)
-    _require_room(next(path for path in there.parents if path.exists()), needed, plan)
-    hidden = there.with_name(f".{there.name}.{os.getpid()}")
-    try:
-        hidden.mkdir(parents=True)
-        plan.write(hidden)
-        (hidden / "members").mkdir()
-        (hidden / "curve.csv").write_text(HEADER)
-        write_json(hidden / "run.json", {"state": "waiting", **origin(execution), "shards": {}})
+    needed = disk.use(plan)
+    disk.require_room(next(path for path in there.parents if path.exists()), needed, plan)
+    there.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{there.name}.", dir=there.parent) as hidden:
+        made = Path(hidden) / "run"
+        (made / "members").mkdir(parents=True)
+        plan.write(made)
+        (made / "curve.csv").write_text(HEADER)
+        write_json(made / "run.json", {"state": "waiting", **origin(execution), "shards": {}})
         for name, thing in inherited.items():
-            thing.save(hidden / f"{name}.safetensors")
-        os.replace(hidden, there)
-    except BaseException:
-        shutil.rmtree(hidden, ignore_errors=True)
-        raise
-    return _words(needed)
+            thing.save(made / f"{name}.safetensors")
+        os.replace(made, there)
+    return disk.words(needed)
 
 
 def work(
@@ -271,8 +263,12 @@ def verify(
     last = steps[evaluations - 1]
     shown = None if plan.demonstrations is None else _demonstrations(folder, plan)
     inherited = _inherited(folder, plan, shard)
-    trainer, again = Trainer(plan.config, shard, shown, **inherited, execution=execution), []
-    with tqdm(total=last, unit="step", disable=not progress) as bar:
+    again = []
+    with (
+        closing(Trainer(plan.config, shard, shown, **inherited, execution=execution)) as trainer,
+        tqdm(total=last, unit="step", disable=not progress) as bar,
+        suppress(FloatingPointError),  # Every member diverges.
+    ):
         while trainer.evaluated < last:
             again += trainer.advance()
             bar.update(trainer.trained - bar.n)
@@ -301,7 +297,9 @@ def unfinished(
         found = _load(folder, plan, shard)
         whole = found and found[1]["finished"] and found[1]["steps"] >= plan.config.total_steps
         kept = (home(folder, shard) / "policy.safetensors").is_file()
-        if not (whole and kept) and _status(folder, shard)["state"] != "diverged":
+        # The manifest is written last: without its word the end may not have been published.
+        state = _status(folder, shard)["state"]
+        if state != "diverged" and not (whole and kept and state == "finished"):
             left.append(shard)
     return left
 
@@ -363,8 +361,9 @@ class _Worker:
     ) -> None:
         """Go from the last checkpoint to the end."""
         self.home.mkdir(parents=True, exist_ok=True)
-        with _lock(self.home / "lock"), _full_disk_explained(self.folder, self.plan):
+        with _lock(self.home / "lock"), disk.explained(self.folder, self.plan), ExitStack() as last:
             self._begin(demonstrations, execution)
+            last.callback(self.trainer.close)
             try:
                 self._note("running")
                 try:
@@ -409,6 +408,7 @@ class _Worker:
             os.truncate(self.curve, about["curve.csv"])
             self.start -= about["wall_s"]
             self.saved, self.step = self._done, self.trainer.steps
+            _note_change(self.folder, self.step, origin(execution))
 
     @property
     def _done(self) -> int:
@@ -474,10 +474,23 @@ def _publish(
             if not ended:
                 path.unlink(missing_ok=True)
             elif all(part.is_file() for part in parts):
-                notes = {"seeds": plan.seeds} if kind is Policy else {}
-                write_whole(path, partial(_together(list(map(kind.load, parts))).save, **notes))
+                write_whole(path, _together(list(map(kind.load, parts))).save)
         about["state"] = _summary(states)
         about["wall_s"] = round(sum(status["wall_s"] for status in shards), 1)
+        write_json(folder / "run.json", about)
+
+
+def _note_change(folder: Path, step: int, now: dict[str, Any]) -> None:
+    """Note in run.json where a run goes on with other versions, or elsewhere, than before."""
+    with _lock(folder / "members" / "lock", wait=True):
+        about = read_json(folder / "run.json")
+        before = [about, *about.get("continued", [])][-1]
+        if not (found := changed(before, now)):
+            return
+        if found.keys() != {"commit"}:
+            said = "; ".join(f"{key}: {here}, before {was}" for key, (was, here) in found.items())
+            log.warning("%s goes on from step %d with other %s", folder, step, said)
+        about["continued"] = [*about.get("continued", []), {"step": step, **now}]
         write_json(folder / "run.json", about)
 
 
@@ -711,96 +724,6 @@ def _alone(folder: Path) -> Iterator[Plan]:
 
 def _change(folder: Path, plan: Plan) -> None:
     """Replace a run's plan, if the disk has room for the new one."""
-    _require_room(folder, _missing(folder, plan), plan)
+    disk.require_room(folder, disk.missing(folder, plan), plan)
     plan.write(folder)
     _publish(folder)
-
-
-def disk_use(plan: Plan) -> int:
-    """Return the bytes that the replay and the checkpoints of a run come to."""
-    config = plan.config
-    env = envs.make(config.env_id, 1, 0)
-    obs = env.single_observation_space.shape[0] + (config.absorbing != "none")
-    action = env.single_action_space.shape[0]
-    env.close()
-    rows = replay_slots(config, plan.checkpoint_every) * (2 * obs + action + 2)
-    # Two critics, r and V.
-    shapes = [((obs + action, *config.hidden, 1), 2)]
-    if config.learns_reward:
-        shapes += [((obs + action, *config.reward_hidden, 1), 1)]
-        shapes += [((obs, *config.shaping_hidden, 1), 1)]
-    weights = sum(count * StackedMLP(sizes).num_params for sizes, count in shapes)
-    weights += stochastic_actor(config, obs, action).num_params
-    # Weights, two memories of Adam's and a target; generators and environments. While a checkpoint
-    # is written, the one before is still there.
-    checkpoint = 4 * 4 * weights + 2**15
-    return len(plan.seeds) * (4 * rows + 2 * checkpoint)
-
-
-def _missing(folder: Path, plan: Plan) -> int:
-    """Return the bytes that a run may still take, beside the replay that it has."""
-    held = sum(path.stat().st_size for path in folder.glob("members/*/replay.f32"))
-    return disk_use(plan) - held
-
-
-def _require_room(place: Path, needed: int, plan: Plan) -> None:
-    free = shutil.disk_usage(place).free
-    if free < needed:
-        raise OSError(
-            f"the run needs {_words(needed)} of disk, mostly replay, and {place} has "
-            f"{_words(free)} left: lower replay_size ({plan.config.replay_size}), give fewer "
-            "seeds, or choose another disk"
-        )
-
-
-@contextmanager
-def _full_disk_explained(folder: Path, plan: Plan) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise OSError(
-            f"the disk of {folder} is full: free {_words(_missing(folder, plan))}, and "
-            f"`offairl resume {folder}` goes on from the last checkpoint"
-        ) from error
-
-
-def _words(size: int) -> str:
-    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
-
-
-def origin(execution: Execution) -> dict[str, Any]:
-    """Return what produces a run, and when it was begun."""
-    return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "wall_s": 0.0,
-        "versions": {name: version(name) for name in PACKAGES},
-        "machine": platform.machine(),
-        "processor": processor(),
-        "vectors": torch.backends.cpu.get_cpu_capability(),
-        "cores": os.cpu_count(),
-        "threads": execution.threads,
-        "commit": _commit(),
-    }
-
-
-def processor() -> str:
-    """Return the processor's name, which only Linux keeps in a file."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
-
-
-def _commit() -> str | None:
-    """Return the commit of the package, if it runs from a checkout."""
-    root = Path(__file__).parents[1]
-    if not (root / ".git").exists():
-        return None
-    command = ["git", "-C", root, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    with suppress(OSError):
-        done = subprocess.run(command, capture_output=True, text=True)
-        return done.stdout.strip() or None
-    return None

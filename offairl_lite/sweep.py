@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations, jobs, runs
 from offairl_lite.config import Config, differences
-from offairl_lite.execution import fitting
+from offairl_lite.execution import fitting, is_large
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.records import Plan
 from offairl_lite.scale import Scale
@@ -141,7 +141,8 @@ def subcommand(
             seeds: of each run.
             out: where the run folders are; by default runs/sweep-EXPERIMENT-SCALE.
             prepare: make the run folders, and leave the work in them to others.
-            processes: at most so many runs at a time; by default one on each core.
+            processes: at most so many at a time; by default one on each core. They do a run each;
+                if there are fewer runs than that, those of large networks are shared.
             engine: processes on this machine, or on a Ray cluster.
             address: of the Ray cluster, auto on one of its nodes; by default a local one.
             dataset: a Minari data set to imitate; by default the shipped experts'.
@@ -157,7 +158,7 @@ def subcommand(
             config: what all runs have in common.
         """
         require_defaults(experiment, scale, *defaults)
-        points = _points(find(experiment), config, grid, only)
+        points = _points(find(experiment), scale, config, grid, only)
         kind = "sweep-" if grid else ""
         folder = out or Path("runs") / f"{kind}{experiment}-{scale}"
         data, sources = {}, {"frozen": frozen, "carried": carried, "guide": guide}
@@ -178,6 +179,9 @@ def subcommand(
                 data[point.env_id] = demonstrations.load(
                     point.env_id, trajectories, dataset, subsample, experts
                 )
+        # Cores that runs leave idle share the members of large networks.
+        here = engine == "processes" and device == "cpu" and not prepare
+        each = max((processes or jobs.cores()) // len(points), 1) if here else 1
         for name, point in fresh.items():
             needed = create(
                 folder / name,
@@ -192,6 +196,7 @@ def subcommand(
                 sources=sources,
                 experiment=experiment,
                 scale=scale,
+                shards=each if is_large(point) else 1,
             )
             print(f"{folder / name} takes up to {needed} of disk")
         if prepare:
@@ -221,9 +226,14 @@ def subcommand(
 
 
 def _points(
-    experiment: Experiment, config: Config, axes: Sequence[str], only: Sequence[str]
+    experiment: Experiment, scale: Scale, config: Config, axes: Sequence[str], only: Sequence[str]
 ) -> dict[str, Config]:
-    """Return the configurations of an experiment's own runs, or some of them, times a grid."""
+    """Return the configurations of an experiment's own runs, or some of them, times a grid.
+
+    Raises:
+        ValueError: there is no such run, the grid is no grid, or a run sets itself what `config`
+            has otherwise than the experiment.
+    """
     variants = experiment.variants or {"": {}}
     if unknown := set(only) - set(variants):
         raise ValueError(f"no runs {sorted(unknown)}; there are: {', '.join(variants)}")
@@ -238,6 +248,11 @@ def _points(
     for variant, changes in variants.items():
         if only and variant not in only:
             continue
+        if lost := changes.keys() & differences(experiment.configs[scale], config):
+            raise ValueError(
+                f"{variant} sets {' and '.join(sorted(lost))} itself: vary that with --grid, which "
+                "comes last, or choose other runs with --only"
+            )
         own = replace(config, **changes)
         some = grid(own, **values) if values or not variant else {"": own}
         points |= {",".join(filter(None, (variant, name))): p for name, p in some.items()}

@@ -1,6 +1,7 @@
 """Short MP4 films of policies, drawn without any graphics library and embedded in the page."""
 
 from collections.abc import Sequence
+from contextlib import closing
 
 import imageio_ffmpeg
 import mediapy
@@ -32,17 +33,17 @@ def frames(
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members in one film; choose one: policy.member(0)")
-    env = envs.make(env_id, 1, seed, render_mode="rgb_array")
-    obs, _ = env.reset()
-    pictures = [env.render()[0]]
-    for step in range(1, max_steps + 1):
-        x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
-        obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
-        if step % every == 0:
-            pictures.append(env.render()[0])
-        if terminated[0] or truncated[0]:
-            break
-    env.close()
+    policy = policy.to("cpu")
+    with closing(envs.make(env_id, 1, seed, render_mode="rgb_array")) as env:
+        obs, _ = env.reset()
+        pictures = [env.render()[0]]
+        for step in range(1, max_steps + 1):
+            x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
+            obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
+            if step % every == 0:
+                pictures.append(env.render()[0])
+            if terminated[0] or truncated[0]:
+                break
     return np.stack(pictures)
 
 

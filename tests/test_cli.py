@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 
-from offairl_lite import cli, runs
+from offairl_lite import cli, jobs, runs
 from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.execution import Execution
 from offairl_lite.experiments import EXPERIMENTS
@@ -338,7 +338,7 @@ def test_large_networks_are_compiled_and_spread(
         raise ValueError(f"{shards} {execution}")
 
     monkeypatch.setattr("offairl_lite.execution.compiler", lambda: compiler)
-    monkeypatch.setattr(cli.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(jobs, "cores", lambda: 4)
     monkeypatch.setattr(runs, "create", create)
     expected = Execution("cpu", 1, compiled, onednn=processes > 1)
     assert failure(line, capsys) == f"offairl: {processes} {expected}"

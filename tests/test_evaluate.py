@@ -4,6 +4,7 @@ import pytest
 import scipy.stats
 import torch
 
+from offairl_lite import evaluate
 from offairl_lite.evaluate import (
     bootstrap_interval,
     difference,
@@ -41,6 +42,49 @@ def by_hand(policy, env_id, seed):
         obs = next_obs
     env.close()
     return [np.array(part) for part in zip(*steps, strict=True)], terminated
+
+
+class Endless(gymnasium.Env):
+    """A task without a time limit; episodes have three steps at most, and end with `at_end`."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (3,))
+    action_space = gymnasium.spaces.Box(-1, 1, (2,))
+
+    def __init__(self, at_end):
+        self.at_end = at_end
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.left = self.np_random.integers(1, 4)
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        self.left -= 1
+        last = bool(self.left == 0)
+        return np.full(3, self.at_end if last else 0, np.float32), 1.0, last, False, {}
+
+
+@pytest.mark.parametrize(
+    ("at_end", "longest", "message"),
+    [
+        (0.0, 3, None),
+        (0.0, 2, r"Endless-v0 has not ended after 2 steps.*max_episode_steps"),
+        (np.nan, 3, "observation or reward of Endless-v0 is not finite"),
+    ],
+)
+def test_what_a_task_may_not_do_is_named(at_end, longest, message, monkeypatch):
+    given = {"kwargs": {"at_end": at_end}, "disable_env_checker": True}
+    gymnasium.register("Endless-v0", entry_point=Endless, **given)
+    monkeypatch.setattr(evaluate, "LONGEST", longest)
+    policy = random_policy("offairl/PointMazeLeft-v0")
+    try:
+        if message is None:
+            assert rollout(policy, "Endless-v0", SEEDS, 9).lengths.max() == longest
+            return
+        with pytest.raises(ValueError, match=message):
+            rollout(policy, "Endless-v0", SEEDS, 9)
+    finally:
+        gymnasium.registry.pop("Endless-v0")
 
 
 @pytest.mark.parametrize("env_id", TASKS)

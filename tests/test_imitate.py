@@ -1,8 +1,10 @@
 """The training loop: its schedule, its reproducibility, and what it refuses."""
 
 import math
+from contextlib import closing
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -92,6 +94,17 @@ def test_after_an_interruption_a_run_can_be_started_again(tiny, maze):
         train(tiny, [0, 1], maze, on_evaluation=interrupt)
     again, never = train(tiny, [0, 1], maze), train(tiny, [0, 1], maze)
     assert again.rows == never.rows
+
+
+def test_a_run_can_be_ended_early_with_what_is_there(tiny, maze):
+    def enough(rows):
+        assert rows[0].step == 100
+        raise StopIteration
+
+    early, whole = train(tiny, [0, 1], maze, on_evaluation=enough), train(tiny, [0, 1], maze)
+    assert early.rows == whole.rows[:2]
+    assert (len(early.policy), len(early.reward)) == (2, 2)
+    assert not torch.equal(early.policy.params, whole.policy.params)
 
 
 @pytest.mark.parametrize(
@@ -564,6 +577,56 @@ def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeyp
     with pytest.warns(UserWarning, match="seed 3 diverged by step 100: its actions"):
         result = run(replace(tiny, reward="environment"), (3, 7))
     assert list(result.diverged) == [3]
+
+
+class Faulty(gymnasium.Env):
+    """A task whose sensor fails, for about half of the members, after the first episode."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (3,))
+    action_space = gymnasium.spaces.Box(-1, 1, (2,))
+    closed = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if seed is not None:
+            self.ill = self.np_random.integers(2) == 1
+        self.fails = seed is None and self.ill
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        obs = np.full(3, np.nan if self.fails else 0.5, np.float32)
+        return obs, 1.0, False, False, {}
+
+    def close(self):
+        Faulty.closed += 1
+
+
+@pytest.fixture
+def faulty():
+    given = {"max_episode_steps": 10, "disable_env_checker": True}
+    gymnasium.register("Faulty-v0", entry_point=Faulty, **given)
+    yield "Faulty-v0"
+    gymnasium.registry.pop("Faulty-v0")
+
+
+@pytest.mark.parametrize("warmup_steps", [20, 100])
+def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny, warmup_steps):
+    changes = {"env_id": faulty, "reward": "environment", "update_every": 20}
+    config = replace(tiny, **changes, warmup_steps=warmup_steps)
+    with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
+        result = run(config, range(6))
+    assert 0 < len(result.diverged) < 6
+    for why in result.diverged.values():
+        assert "its observation or reward is not finite; mend Faulty-v0" in why
+    assert len(result.rows) == 2 * (6 - len(result.diverged))
+    assert all(np.isfinite(row.metrics["critic_loss"]) for row in result.rows)
+
+
+def test_environments_are_closed(faulty, tiny, monkeypatch):
+    monkeypatch.setattr(Faulty, "closed", 0)
+    with closing(Trainer(replace(tiny, env_id=faulty, reward="environment"), range(4))):
+        pass
+    assert Faulty.closed == 4
 
 
 # Putting a run back where it was.

@@ -10,8 +10,8 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config streams execution envs tabular networks policies replay absorbing evaluate
-demonstrations rewards discriminators epic sac td3 ppo imitate records logs runs experiments jobs
-sweep plots video bench cli
+demonstrations rewards discriminators epic sac td3 ppo imitate records logs provenance disk runs
+experiments jobs sweep plots video bench cli
 """.split()  # noqa: SIM905
 FILES = sorted(ROOT.rglob("*.py"))
 IDS = [path.relative_to(ROOT).with_suffix("").as_posix() for path in FILES]

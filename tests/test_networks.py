@@ -49,6 +49,11 @@ def test_a_stack_is_as_many_separate_networks(activation, sizes):
     torch.testing.assert_close(net(params, x), expected)
 
 
+def test_observations_of_two_axes_are_not_taken_for_every_member_s():
+    with pytest.raises(ValueError, match=r"axes \(2, 3\); expected \(S, B, O\)"):
+        Normaliser.identity(2, 3)(torch.zeros(2, 3))
+
+
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("sizes", [(4, 1), (4, 6, 7, 1)])
 def test_value_and_input_gradient_are_autograd_s(activation, sizes):

@@ -229,7 +229,7 @@ def test_a_policy_acts_by_mode_or_by_sample_on_scaled_observations(actor):
 @pytest.mark.parametrize("actor", ACTORS)
 def test_a_policy_comes_back_from_a_file(actor, tmp_path):
     policy, path = population(actor), tmp_path / "policy.safetensors"
-    policy.save(path, seeds=[3, 4])
+    policy.save(path)
     loaded = Policy.load(path)
     assert (loaded.env_id, loaded.actor) == (policy.env_id, policy.actor)
     obs = Streams((4, 5)).normal(6, 3)

@@ -17,7 +17,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from offairl_lite import networks, records, runs
+from offairl_lite import disk, networks, provenance, records, runs
 from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.discriminators import Reward
 from offairl_lite.imitate import Trainer
@@ -284,7 +284,7 @@ def test_a_record_can_be_read_at_any_time(folder, plain, monkeypatch):
 def test_the_manifest_says_what_made_the_run(interrupted, folder):
     first = manifest(folder)
     assert first["versions"]["torch"] == torch.__version__
-    assert set(first["versions"]) == set(runs.PACKAGES)
+    assert set(first["versions"]) == set(provenance.PACKAGES)
     assert first["processor"]
     assert (first["threads"], first["cores"]) == (1, os.cpu_count())
     commit = subprocess.run(
@@ -616,6 +616,51 @@ def test_two_processes_do_not_share_a_shard(folder, plain):
     assert records.read(folder).steps[-1] == 200
 
 
+@pytest.mark.parametrize("steps", [100, 150])
+def test_a_stop_before_the_end_is_published_loses_nothing(steps, folder, plain, tmp_path):
+    whole = run(tmp_path / "whole", plain)
+    run(folder, plain)
+    if steps > 100:  # The policy of before the run was extended is there still.
+        for one in (whole, folder):
+            runs.extend(one, steps)
+        resume(whole)
+    before = runs._publish
+
+    def publish(folder, shard=None, status=None):
+        if status and status["state"] == "finished":
+            raise Broken("a stop")
+        before(folder, shard, status)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "_publish", publish)
+        if steps == 100:
+            shutil.rmtree(folder)
+            runs.create(folder, plain, SEEDS, checkpoint_every=40)
+        with pytest.raises(Broken):
+            resume(folder)
+    assert runs.unfinished(folder) == [SEEDS]
+    resume(folder)
+    assert manifest(folder)["state"] == "finished"
+    assert runs.unfinished(folder) == []
+    assert_same(folder, whole)
+
+
+def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog):
+    began = manifest(folder)
+    monkeypatch.setattr(provenance, "processor", lambda: "an abacus")
+    runs.extend(folder, 150)
+    resume(folder)
+    ended = manifest(folder)
+    (later,) = ended["continued"]
+    assert (later["step"], later["processor"]) == (80, "an abacus")
+    assert ended["processor"] == began["processor"]
+    assert "goes on from step 80 with other processor: an abacus, before" in caplog.text
+    # The same once more is no news.
+    runs.extend(folder, 200)
+    resume(folder)
+    assert manifest(folder)["continued"] == [later]
+
+
 def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
     usage = namedtuple("Usage", "total used free")(10**9, 10**9 - 10**5, 10**5)
     with monkeypatch.context() as patch:
@@ -663,7 +708,7 @@ def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
         (home / f).stat().st_size for f in ("replay.f32", "checkpoint.safetensors")
     )
     # While it is written, a second checkpoint is there.
-    used, foreseen = replay + 2 * checkpoint, runs.disk_use(records.Plan.read(folder))
+    used, foreseen = replay + 2 * checkpoint, disk.use(records.Plan.read(folder))
     assert 0.4 * foreseen < used < foreseen
 
 
@@ -738,6 +783,19 @@ def test_a_member_that_diverges_here_alone_is_not_verified(plain, folder, monkey
         (7, 50, False),
         (3, 100, False),
         (7, 100, True),
+    ]
+
+
+@pytest.mark.filterwarnings("ignore:seed . diverged")
+def test_where_every_member_diverges_here_nothing_is_verified(plain, folder, monkeypatch):
+    run(folder, plain)
+    monkeypatch.setattr(SAC, "update", diverging(0, 1))
+    pairs = runs.verify(folder, 2, progress=False)
+    assert [(old.step, new is None) for old, new in pairs] == [
+        (50, False),
+        (50, False),
+        (100, True),
+        (100, True),
     ]
 
 

@@ -161,6 +161,31 @@ def test_runs_are_told_where_their_reward_is_from(offairl):
     assert all(len(given["reward"]) == 5 for given in made)
 
 
+def test_what_a_run_sets_itself_is_not_taken_from_the_command_line(offairl):
+    message = r"\w+ sets env_id itself: vary that with --grid, .*or choose other runs with --only"
+    with pytest.raises(ValueError, match=message):
+        offairl("locomotion --env-id Pendulum-v1", "locomotion")
+    with pytest.raises(ValueError, match="sac-fixed sets temperature itself"):
+        offairl("experts --temperature 0.5", "experts")
+    line = "experts --grid temperature=0.5 --only PointMazeLeft-sac-fixed"
+    assert len(offairl(line, "experts")) == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "shards"),
+    [
+        ("--hidden 256", [2, 2]),
+        ("--hidden 64", [1, 1]),
+        ("--hidden 256 --processes 3", [1, 1]),
+        ("--hidden 256 --prepare", [1, 1]),
+    ],
+)
+def test_idle_cores_share_large_networks(line, shards, offairl, monkeypatch):
+    monkeypatch.setattr(jobs, "cores", lambda: 5)
+    made = offairl(f"maze-expert --grid temperature=0.1,0.2 {line} {SMALL}")
+    assert [given["shards"] for _, given in made] == shards
+
+
 def test_folders_can_be_prepared_and_worked_on_later(offairl):
     line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
     assert len(offairl(f"{line} --prepare")) == 2

@@ -120,8 +120,9 @@ def make(
     except gymnasium.error.UnregisteredEnv as error:
         raise ValueError(
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and whatever is "
-            "registered with Gymnasium; register your own with "
-            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv')"
+            "registered with Gymnasium: register your own with "
+            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
+            "module that does so, --env-id my_module:MyTask-v0"
         ) from error
     for name, space in (
         ("observation", env.single_observation_space),
