@@ -70,15 +70,29 @@ def demos(
     trajectories: int = 50,
     dataset: str | None = None,
     experts: int | None = None,
+    policy: str | None = None,
 ) -> None:
     """Make demonstrations of a task where there are none yet, check them, and say what they are.
+
+    They are those of the shipped experts, a data set of your own that is there already, or a new
+    one of the episodes of a policy: `offairl demos ENV_ID --policy RUN --dataset own/trained-v0`.
 
     Args:
         env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
         trajectories: how many episodes.
-        dataset: a Minari data set of your own, to check against the task.
+        dataset: a Minari data set of your own, to check against the task; with --policy the name
+            of a new one.
         experts: of how many of the shipped experts; by default of all.
+        policy: a run's folder, or a policy's file, to make the data set of: all members take
+            turns, and actions are sampled.
     """
+    if policy is not None:
+        if dataset is None:
+            raise ValueError(
+                f"--policy {policy} makes a data set, which needs a name: add --dataset "
+                "own/trained-v0, or another that is new"
+            )
+        demonstrations.generate(_policy(policy), env_id, trajectories, dataset)
     data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     returns = data.returns
     print(
@@ -104,15 +118,46 @@ def watch(
         member: which member of the population.
         seed: of the episode.
         max_steps: where to stop at the latest.
-        out: the MP4 file to write.
+        out: the MP4 file to write, in a folder that may be new.
     """
-    path = Path(what) / "policy.safetensors" if Path(what).is_dir() else Path(what)
-    policy = Policy.load(path) if path.suffix == ".safetensors" else demonstrations.expert(what)
+    if out.suffix != ".mp4":
+        raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
+    policy = _policy(what)
     if not 0 <= member < len(policy):
         raise ValueError(f"member is {member}; {what} has members 0 to {len(policy) - 1}")
+    # Before the film is made, which takes longer than it takes to learn that it has no place.
+    out.parent.mkdir(parents=True, exist_ok=True)
     pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
     out.write_bytes(video.mp4(pictures))
     print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+
+
+def _policy(what: str) -> Policy:
+    """Return the policy of a run, of a file, or of a task with shipped experts.
+
+    Raises:
+        FileNotFoundError: it is none of them, or a run that has not ended.
+        ValueError: the file holds something else.
+    """
+    path = Path(what)
+    if path.is_dir():
+        path /= "policy.safetensors"
+        if not path.is_file() and not path.with_name("config.json").is_file():
+            raise FileNotFoundError(f"{what} is not a run's folder: it has no config.json")
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{what} has no policy.safetensors, which is written at the end of the run: "
+                f"`offairl resume {what}` goes on to it (not every record keeps its own)"
+            )
+    if path.is_file() or path.suffix == ".safetensors":
+        return Policy.load(path)
+    # A folder's name may end like a task's: runs/Hopper is not Hopper-v5.
+    if what not in gymnasium.registry:
+        raise FileNotFoundError(
+            f"there is no run or policy file {what}, and no expert is shipped for {what}: "
+            "`offairl list` names the tasks with experts, and `ls runs` your runs"
+        )
+    return demonstrations.expert(what)
 
 
 def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool = False) -> None:
@@ -202,9 +247,9 @@ def _run_command(name: str, size: Scale):
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
             experts: of how many of the shipped experts they are, from the first on; None: of all.
-            frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
+            frozen: an earlier run, or its reward.safetensors, where the reward is frozen; of
                 several, one population after the other.
-            carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
+            carried: an earlier run, or its policy.safetensors, where `carry` is not nothing.
             guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.
             threads: of PyTorch and of the physics, in each process; small networks are fastest
@@ -214,13 +259,13 @@ def _run_command(name: str, size: Scale):
             config: everything else.
         """
         sweep.require_defaults(experiment, scale, name, size)
-        if config.reward == "frozen" and not frozen:
-            source = find(experiment).reward_from or "maze-imitation"
+        if config.reward == "frozen" and not frozen and (source := find(experiment).reward_from):
             raise ValueError(
                 f"{experiment} is paid by the reward of another run: first `offairl run "
                 f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
             )
         sources = {"frozen": frozen, "carried": carried, "guide": guide}
+        runs.require_use([config], **sources)
         inherited = runs.inherit(config, seeds, **sources)
         data = None
         if config.learns_reward:
@@ -311,6 +356,8 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
 
 def main(args: Sequence[str] | None = None) -> None:
     """Off-policy adversarial inverse reinforcement learning, from the command line."""
+    # A task of one's own may be in a module of the working directory (`python -m` looks there).
+    sys.path.append(str(Path.cwd()))
     # `--scale=full` is `--scale full`, also where it is looked for below.
     args = [
         part

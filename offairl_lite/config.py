@@ -207,7 +207,8 @@ class Config:
     """Environment steps between evaluations."""
 
     eval_episodes: int = 10
-    """Episodes, with the policy's mode, of one evaluation."""
+    """Episodes, with the policy's mode, of one evaluation. They run side by side: of a task of
+    one's own, `eval_episodes` environments are open for each seed, and one more for training."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

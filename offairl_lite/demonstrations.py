@@ -18,10 +18,13 @@ import minari
 import numpy as np
 import torch
 from filelock import FileLock
+from gymnasium.envs.registration import EnvSpec
 from minari.data_collector.episode_buffer import EpisodeBuffer
+from minari.dataset.minari_dataset import parse_dataset_id
 from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
+from offairl_lite import envs
 from offairl_lite.evaluate import Episodes, rollout
 from offairl_lite.policies import Policy, unsquash
 from offairl_lite.replay import Batch
@@ -124,11 +127,14 @@ def expert_file(env_id: str) -> Path:
         FileNotFoundError: none is shipped for it; the message lists the tasks that have some.
     """
     path = EXPERTS / f"{short_name(env_id)}.safetensors"
-    if not path.is_file():
-        have = ", ".join(sorted(file.stem for file in EXPERTS.glob("*.safetensors"))) or "none yet"
+    # Another task can have the same short name, as a `mine/PointMazeLeft-v0` of one's own has.
+    if not path.is_file() or Policy.load(path).env_id != env_id:
+        files = sorted(EXPERTS.glob("*.safetensors"))
+        have = ", ".join(Policy.load(file).env_id for file in files) or "none yet"
         raise FileNotFoundError(
             f"no expert is shipped for {env_id} (there are: {have}); pass the id of a Minari data "
-            "set of your own, or train an expert with reward='environment'"
+            "set of your own, or train an expert with reward='environment' and have `offairl demos "
+            f"{env_id} --policy RUN --dataset own/expert-v0` make one"
         )
     return path
 
@@ -162,10 +168,12 @@ def load(
 
     Raises:
         FileNotFoundError: there is no such data set, and no expert to make it.
+        ModuleNotFoundError: the task's id names a module that is not there.
         OSError: Minari's local storage is no folder, or the shipped experts' episodes must be made
             and cannot be kept there.
         ValueError: the data set does not fit the task; says what was expected and what was found.
-            Or `trajectories` or `subsample` is below 1, or there are not so many `experts`.
+            Or the task is not known, or its spaces are not what `envs.require_boxes` expects. Or
+            `trajectories` or `subsample` is below 1, or there are not so many `experts`.
     """
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
@@ -194,15 +202,15 @@ def load(
                 if not _is_whole(dataset_id, trajectories):
                     # Nobody else is writing, so what is there was given up half-way.
                     shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-                    generate(policy, env_id, trajectories, dataset_id)
+                    _compare(generate(policy, env_id, trajectories, dataset_id), env_id)
     else:
         known = _known()
         if dataset_id not in known:
             raise FileNotFoundError(
                 f"Minari has no local data set {dataset_id!r}; here are: "
                 f"{', '.join(known) or 'no data set at all'}. "
-                "Download one with `minari download`, or write one with "
-                "minari.create_dataset_from_buffers"
+                "Download one with `minari download`, write one with "
+                "minari.create_dataset_from_buffers, or have `offairl demos --policy` make one"
             )
     data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
     return data if subsample == 1 else data.subsample(every=subsample)
@@ -231,17 +239,52 @@ def _storage() -> Iterator[None]:
         ) from error
 
 
-def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> None:
-    """Write a Minari data set of the first shipped experts' episodes, shared out evenly among them.
+def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> Episodes:
+    """Write a Minari data set of a policy's first episodes, shared out evenly among its members.
 
-    Actions are sampled, as maximum-entropy experts act. Episode `i` is the `i // n`-th of expert
-    `i % n`. Where they are not the ones that `write_reference` saw, byte for byte, the log says so.
+    Actions are sampled, as maximum-entropy experts act. Episode `i` is the `i // n`-th of member
+    `i % n`.
+
+    Args:
+        policy: n members: experts, or those of a run of your own.
+        env_id: the task.
+        trajectories: how many episodes.
+        dataset_id: a new name, such as `own/trained-v0`.
+
+    Returns:
+        The first episodes of each member, `BLOCK` of them.
 
     Raises:
+        FileExistsError: there is a data set of this name; nothing is overwritten.
+        ModuleNotFoundError: the task's id names a module that is not there.
         OSError: Minari's local storage cannot be written to.
+        ValueError: the policy or the name does not fit, the task is not known, its spaces are not
+            what `envs.require_boxes` expects, or `trajectories` is below 1.
     """
-    with _storage():  # found out now, and not after minutes of work
+    # All that can go wrong is found out now, and not after minutes of work.
+    if trajectories < 1:
+        raise ValueError(f"trajectories is {trajectories}; expected at least 1")
+    try:
+        parse_dataset_id(dataset_id)
+    except (TypeError, ValueError) as error:  # The former without a version, -v0.
+        raise ValueError(
+            f"{dataset_id!r} is no name for a Minari data set; expected one such as own/trained-v0"
+        ) from error
+    with _storage():
+        there = get_dataset_path(dataset_id)
         tempfile.TemporaryFile(dir=get_dataset_path()).close()
+    if there.exists():
+        raise FileExistsError(
+            f"the data set {dataset_id} is there already, and is not overwritten: choose another "
+            f"name, or remove {there}"
+        )
+    env = _task(env_id)
+    low, high = env.action_space.low, env.action_space.high
+    if policy.actor.action_dim != len(low):
+        raise ValueError(
+            f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers, and actions "
+            f"of {env_id} have {len(low)}: give a policy that was trained on it, or on one like it"
+        )
     first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []
     with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
@@ -256,29 +299,58 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
             cut = np.zeros(length, bool)
             cut[-1] = not ended[-1]
             obs, last = made.obs[at][:length], made.next_obs[at][length - 1 : length]
+            # In the task's own units; from -1 to 1 this changes nothing.
+            actions = (low + high) / 2 + (high - low) / 2 * made.action[at][:length]
             buffer.append(
                 EpisodeBuffer(
                     id=i,
                     observations=np.concatenate([obs, last]),
-                    actions=made.action[at][:length],
+                    actions=np.clip(actions, low, high),
                     rewards=made.reward[at][:length].tolist(),
                     terminations=ended.tolist(),
                     truncations=cut.tolist(),
                 )
             )
             bar.update()
-    _compare(first, env_id)
+    # Minari keeps it, so that the data set can be told from those of other tasks.
+    env.unwrapped.spec = _storable(envs.spec(env_id))
     with warnings.catch_warnings():
         # Minari would like to know whom to write to about a data set; this one stays here.
         warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
         minari.create_dataset_from_buffers(
             dataset_id,
             buffer,
-            env=env_id,
-            eval_env=env_id,
-            algorithm_name="SAC",
-            description=f"Episodes of {len(policy)} of the shipped experts of {env_id}.",
+            env=env.unwrapped,
+            eval_env=env.unwrapped,
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            algorithm_name=type(policy.actor).__name__,
+            description=f"Episodes of {len(policy)} policies that were trained on {policy.env_id}.",
         )
+    return first
+
+
+def _task(env_id: str) -> gymnasium.Env:
+    """Return a task, closed, to be asked for its spaces.
+
+    Raises:
+        ModuleNotFoundError: its id names a module that is not there.
+        ValueError: it is not known, or its spaces are not what `envs.require_boxes` expects.
+    """
+    envs.spec(env_id)  # Refuses an unknown one with more help than Gymnasium gives.
+    env = gymnasium.make(env_id)
+    env.close()
+    envs.require_boxes(env_id, env.observation_space, env.action_space)
+    return env
+
+
+def _storable(spec: EnvSpec) -> EnvSpec:
+    """Return what Minari can write down of a task: if not how it is made, then its id alone."""
+    try:
+        spec.to_json()
+    except (TypeError, ValueError):  # An entry point that is a class, or an array among the kwargs.
+        return EnvSpec(spec.id)
+    return spec
 
 
 def write_reference(env_id: str) -> Path:
@@ -361,12 +433,15 @@ def from_minari(
 ) -> Demonstrations:
     """Check a Minari data set against a task and return its transitions.
 
+    A data set of another task, which fits this one as well, is taken, and the log says so.
+
     Raises:
-        ValueError: shapes, ranges, finiteness or episode ends are not what the task makes them.
+        ModuleNotFoundError: the task's id names a module that is not there.
+        ValueError: shapes, ranges, finiteness or episode ends are not what the task makes them. Or
+            the task is not known, or its spaces are not what `envs.require_boxes` expects.
     """
-    env = gymnasium.make(env_id)
+    env = _task(env_id)
     obs_space, action_space = env.observation_space, env.action_space
-    env.close()
     name = dataset.spec.dataset_id
     if trajectories is not None and dataset.total_episodes < trajectories:
         raise ValueError(
@@ -376,8 +451,22 @@ def from_minari(
     indices = None if trajectories is None else range(trajectories)
     parts = []
     for episode in dataset.iterate_episodes(indices):
-        _check(episode, f"{name}, episode {episode.id}", obs_space, action_space)
+        where = f"data set {name}, episode {episode.id}, for the task {env_id}"
+        _check(episode, where, obs_space, action_space)
         parts.append(_transitions(episode, action_space))
+    made_on = dataset.spec.env_spec and dataset.spec.env_spec.id
+    # The module that registers a task may be named before its id.
+    if made_on and made_on.split(":")[-1] != env_id.split(":")[-1]:
+        # No error, and no warning that can be made one: that may be what is wanted.
+        log.warning(
+            "The data set %s was made on %s, and is taken for demonstrations of %s. Shapes and "
+            "bounds fit, and nothing else tells the two tasks apart: if you did not mean to show "
+            "another task, give a data set of %s.",
+            name,
+            made_on,
+            env_id,
+            env_id,
+        )
     transitions = Batch(*(torch.cat(column) for column in zip(*parts, strict=True)))
     return Demonstrations(env_id, transitions, tuple(len(part.reward) for part in parts))
 

@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import NamedTuple
 
-import gymnasium
 import numpy as np
 import scipy.stats
 import torch
+from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -70,6 +71,41 @@ def seen(policy: Policy, obs: Float[Tensor, "*axes O"]) -> Float[Tensor, "*axes 
     return obs if there == expected else extend(obs)
 
 
+def require_actions(policy: Policy, space: Box) -> None:
+    """Raise ValueError if a policy gives another number of actions than a task takes."""
+    if space.shape != (policy.actor.action_dim,):
+        raise ValueError(
+            f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers, and actions "
+            f"have the shape {space.shape}: choose a task with as many actions"
+        )
+
+
+def require_fit(policy: Policy, env: VectorEnv) -> None:
+    """Raise ValueError if a policy sees or gives other numbers than an environment has."""
+    seen(policy, torch.zeros(env.single_observation_space.shape))
+    require_actions(policy, env.single_action_space)
+
+
+@torch.no_grad()
+def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.ndarray, "A"]:
+    """Return what a one-member policy does: its mode, in the units of the task.
+
+    Args:
+        policy: one member; take it with `policy.member(i)`.
+        obs: an observation, as the task itself gives it.
+        space: of the task's actions, `env.action_space`, whose bounds a policy knows as -1 and 1.
+
+    Raises:
+        ValueError: the policy has more than one member, or sees or does something of another size.
+    """
+    if len(policy) != 1:
+        raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
+    require_actions(policy, space)
+    x = torch.as_tensor(obs, dtype=torch.float32, device=policy.params.device)
+    unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
+    return (space.low + (unit + 1) / 2 * (space.high - space.low)).astype(space.dtype)
+
+
 def rollout(
     policy: Policy,
     env_id: str,
@@ -94,8 +130,9 @@ def rollout(
         num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
-        ValueError: seeds and members are not equally many, an observation has the wrong size or is
-            not finite, or an episode of a task without a time limit does not end.
+        ValueError: seeds and members are not equally many, the policy sees or gives other numbers
+            than the task has, an observation is not finite, or an episode of a task without a time
+            limit does not end.
     """
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
@@ -110,8 +147,10 @@ def rollout(
     running = np.ones(population * episodes, bool)
     ended = np.zeros_like(running)
     steps = []
-    limit = gymnasium.spec(env_id).max_episode_steps or LONGEST
+    spec = env.unwrapped.spec  # The package's own tasks, which all have a limit, have none.
+    limit = (spec and spec.max_episode_steps) or LONGEST
     with _torch_threads(num_threads), closing(env):
+        require_fit(policy, env)
         while running.any():
             if len(steps) == limit:
                 raise ValueError(

@@ -7,6 +7,7 @@ the block of steps just taken, where the others learn from replay.
 """
 
 import logging
+import operator
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -135,7 +136,9 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        self.config, self.seeds, self.execution = config, tuple(seeds), execution
+        # Plain integers, also of an array, to be written and looked up.
+        seeds = tuple(map(operator.index, seeds))
+        self.config, self.seeds, self.execution = config, seeds, execution
         self.device = torch.device(execution.device)
         torch.set_num_threads(execution.threads)
         self.frozen_reward = None if reward is None else reward.to(self.device)
@@ -153,7 +156,11 @@ class Trainer:
             raise ValueError(f"start_steps={config.start_steps} and a guide go together")
         for what, given in (("frozen rewards", reward), ("policies", policy), ("guides", guide)):
             if given is not None and len(given) != len(seeds):
-                raise ValueError(f"{len(given)} {what} for {len(seeds)} seeds")
+                numbers = " ".join(map(str, range(len(given))))
+                raise ValueError(
+                    f"{len(given)} {what} for {len(seeds)} seeds: give as many seeds, for instance "
+                    f"--seeds {numbers}"
+                )
         if demonstrations is not None and demonstrations.env_id != config.env_id:
             raise ValueError(
                 f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}"
@@ -168,11 +175,8 @@ class Trainer:
                 f"reward_sees is {config.reward_sees}; observations of {config.env_id} have "
                 f"{self.obs_dim} numbers, so expected are indices from 0 to {self.obs_dim - 1}"
             )
-        if reward is not None and reward.normaliser.mean.shape[-1] != self.obs_dim:
-            raise ValueError(
-                f"the frozen reward sees {reward.normaliser.mean.shape[-1]} numbers; with "
-                f"absorbing={config.absorbing!r}, {config.env_id} gives {self.obs_dim}"
-            )
+        if reward is not None:
+            self._require_fit(reward)
         self.replay = Replay(
             len(seeds),
             config.replay_size,
@@ -261,6 +265,31 @@ class Trainer:
                         self.owed.clear()
                         self.block_start = self.steps
         return []
+
+    def _require_fit(self, reward: Reward) -> None:
+        """Raise ValueError if a frozen reward sees other numbers than this run has."""
+        kind, env_id = self.config.absorbing, self.config.env_id
+        sees = reward.normaliser.mean.shape[-1]
+        if sees != self.obs_dim:
+            # The absorbing state's indicator is one number.
+            cure = f"it is of another task, {reward.env_id}; give the reward of one like {env_id}"
+            if kind == "none" and sees == self.obs_dim + 1:
+                cure = "if it was learned with an absorbing state, set absorbing='bootstrap'"
+            elif kind != "none" and sees == self.env_obs_dim:
+                cure = "if it was learned without an absorbing state, set absorbing='none'"
+            raise ValueError(
+                f"the frozen reward sees {sees} numbers; with absorbing={kind!r}, {env_id} "
+                f"gives {self.obs_dim}: {cure}"
+            )
+        if reward.state_only:
+            return
+        sees = reward.net.sizes[0] - self.obs_dim
+        if sees != self.action_dim:
+            raise ValueError(
+                f"the frozen reward is an r(s, a) of {reward.env_id}, with {sees} actions, and "
+                f"{env_id} has {self.action_dim}: give one of the state alone, for instance "
+                "Implementation 4's"
+            )
 
     def _horizon(self, demonstrations: Demonstrations | None) -> int:
         """Return how many steps the discriminator judges together."""

@@ -17,6 +17,7 @@ import json
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
@@ -84,18 +85,19 @@ class Plan:
         write_json(folder / "config.json", {"format": FORMAT, **asdict(self)})
 
     @classmethod
-    def read(cls, folder: Path) -> Self:
+    def read(cls, folder: str | PathLike) -> Self:
         """Read `config.json`.
 
         Raises:
             FileNotFoundError: there is none.
             ValueError: it is of another format, or damaged.
         """
-        path = folder / "config.json"
+        path = Path(folder) / "config.json"
         if not path.is_file():
             raise FileNotFoundError(
-                f"there is no run in {folder.absolute()}: it has no config.json; `offairl run NAME "
-                f"--out {folder}` starts one (chapters run in the folder `book`, beside `records`)"
+                f"there is no run in {path.parent.absolute()}: it has no config.json; `offairl run "
+                f"NAME --out {folder}` starts one (chapters run in the folder `book`, beside "
+                "`records`)"
             )
         fields = read_json(path)
         require_format(path, fields.pop("format", 1))
@@ -107,13 +109,14 @@ class Plan:
             raise ValueError(f"{path} does not describe a run: {error}") from error
 
 
-def read(folder: Path) -> Run:
+def read(folder: str | PathLike) -> Run:
     """Return a recorded run, finished or not; policy and reward are None where there are none yet.
 
     Raises:
         FileNotFoundError: the folder is no record; the message names the missing file.
         ValueError: the record's configuration or curve is not of this version.
     """
+    folder = Path(folder)
     plan, path = Plan.read(folder), folder / "curve.csv"
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no record of a run: it has no curve.csv")

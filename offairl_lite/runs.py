@@ -15,9 +15,10 @@ import json
 import logging
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, replace
+from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -66,7 +67,7 @@ and members that were given up."""
 
 
 def create(
-    folder: Path,
+    folder: str | PathLike,
     config: Config,
     seeds: Sequence[int],
     *,
@@ -114,10 +115,11 @@ def create(
         ValueError: something that `config` needs is missing, or does not fit the task.
         OSError: the disk has no room for the run.
     """
+    folder = Path(folder)
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise FileExistsError(
             f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
-            "for a new one choose another --out"
+            "for a new one choose another --out, or remove it"
         )
     # Made so that what does not fit is refused before anything is written. Whether a replay fits
     # is a question for GAN-GCL alone, whose own are small.
@@ -167,7 +169,7 @@ def create(
 
 
 def work(
-    folder: Path,
+    folder: str | PathLike,
     seeds: Sequence[int] | None = None,
     *,
     demonstrations: Demonstrations | None = None,
@@ -189,6 +191,7 @@ def work(
             the demonstrations, or what comes from other runs, have changed.
         OSError: another process is at work on the run, or its disk is full.
     """
+    folder = Path(folder)
     plan = Plan.read(folder)
     if seeds is not None and tuple(seeds) not in plan.shards:
         known = ", ".join(" ".join(map(str, shard)) for shard in plan.shards)
@@ -235,7 +238,7 @@ def _demonstrations(
 
 
 def verify(
-    folder: Path, evaluations: int = 1, progress: bool = True
+    folder: str | PathLike, evaluations: int = 1, progress: bool = True
 ) -> list[tuple[Row | None, Row | None]]:
     """Do the beginning of a recorded run again, in memory, and set it beside the record.
 
@@ -254,6 +257,7 @@ def verify(
         ValueError: the demonstrations, or what it had of another run, are no longer those it began
             with, or the record has not so many evaluations.
     """
+    folder = Path(folder)
     plan = Plan.read(folder)
     shard, execution = plan.shards[0], Execution(**plan.execution)
     rows = [row for row in read(folder).rows if row.seed in shard]
@@ -278,7 +282,7 @@ def verify(
 
 
 def unfinished(
-    folder: Path, shards: Sequence[tuple[int, ...]] | None = None
+    folder: str | PathLike, shards: Sequence[tuple[int, ...]] | None = None
 ) -> list[tuple[int, ...]]:
     """Return the seeds of each shard, of all or of some, that is not at its end.
 
@@ -286,6 +290,7 @@ def unfinished(
         FileNotFoundError: there is no such run, or its checkpoint is gone.
         ValueError: a checkpoint is damaged or of another format or run, or the plan has changed.
     """
+    folder = Path(folder)
     plan, left = Plan.read(folder), []
     lost = read_json(folder / "run.json")["shards"].keys() - set(map(_name, plan.shards))
     if lost:
@@ -304,13 +309,14 @@ def unfinished(
     return left
 
 
-def extend(folder: Path, steps: int) -> None:
+def extend(folder: str | PathLike, steps: int) -> None:
     """Have a run go on to another number of steps, the next time it is worked on.
 
     Raises:
         ValueError: the run has gone further already.
         OSError: a process is at work on it, or the disk has no room.
     """
+    folder = Path(folder)
     with _alone(folder) as plan:
         reached = _reached(folder, plan, plan.shards)
         if steps < reached:
@@ -318,13 +324,14 @@ def extend(folder: Path, steps: int) -> None:
         _change(folder, replace(plan, config=replace(plan.config, total_steps=steps)))
 
 
-def add_seeds(folder: Path, seeds: Sequence[int]) -> None:
+def add_seeds(folder: str | PathLike, seeds: Sequence[int]) -> None:
     """Add members to a run, a shard of their own that starts the next time it is worked on.
 
     Raises:
         ValueError: a seed is there already, or the run builds upon members of another.
         OSError: a process is at work on it, or the disk has no room.
     """
+    folder = Path(folder)
     with _alone(folder) as plan:
         if inherited := _inherited(folder, plan, plan.seeds):
             raise ValueError(
@@ -371,7 +378,9 @@ class _Worker:
                     state = "finished"
                 except FloatingPointError:
                     state = "diverged"
-                results = {"policy": self.trainer.generator.policy, "reward": self.trainer.reward}
+                # Whoever diverges before the warm-up is over has no policy yet.
+                policy = self.trainer.generator and self.trainer.generator.policy
+                results = {"policy": policy, "reward": self.trainer.reward}
                 for name, result in results.items():
                     if result is not None:
                         write_whole(self.home / f"{name}.safetensors", result.save)
@@ -637,9 +646,9 @@ def inherit(
     Args:
         config: that of the new run.
         seeds: of its members. Where guides are fewer, they take turns.
-        frozen: files of rewards.
-        carried: files of policies.
-        guide: files of policies.
+        frozen: files of rewards, or runs that have one.
+        carried: files of policies, or runs.
+        guide: files of policies, or runs.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -650,13 +659,34 @@ def inherit(
         if not files[name]:
             raise ValueError(
                 f"a {name} of another run is needed: give --{INHERITED[name]} "
-                f"RUN/{'reward' if kind is Reward else 'policy'}.safetensors"
+                f"RUN/{kind.__name__.lower()}.safetensors, or RUN"
             )
-        given[name] = _together([kind.load(file) for file in files[name]])
+        own = f"{kind.__name__.lower()}.safetensors"
+        given[name] = _together([kind.load(f / own if f.is_dir() else f) for f in files[name]])
     if "guide" in given:
         guides = given["guide"]
         given["guide"] = guides.member(*(i % len(guides) for i in range(len(seeds))))
     return given
+
+
+def require_use(configs: Iterable[Config], **files: Sequence[Path]) -> None:
+    """Refuse files of other runs that no configuration makes use of.
+
+    Args:
+        configs: of new runs.
+        **files: as for `inherit`.
+
+    Raises:
+        ValueError: there are such files.
+    """
+    used = {INHERITED[name] for config in configs for name in _heritable(config)}
+    cures = {"frozen": "--reward frozen", "carried": "--carry policy", "guide": "--start-steps 50"}
+    for name, given in files.items():
+        if given and name not in used:
+            raise ValueError(
+                f"--{name} {' '.join(map(str, given))} would not be used: add {cures[name]}, or "
+                "leave it out"
+            )
 
 
 def _digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:

@@ -149,9 +149,9 @@ def subcommand(
             trajectories: how many of its episodes to use.
             subsample: of each, only every so many-th transition.
             experts: of how many of the shipped experts they are, from the first on; None: of all.
-            frozen: the reward.safetensors of an earlier run, where the reward is frozen; of
+            frozen: an earlier run, or its reward.safetensors, where the reward is frozen; of
                 several, one population after the other.
-            carried: the policy.safetensors of an earlier run, where `carry` is not nothing.
+            carried: an earlier run, or its policy.safetensors, where `carry` is not nothing.
             guide: policies that act at the start of episodes, where there are `start_steps`.
             device: where networks live.
             compile: whether updates are compiled; auto: long runs of large networks.
@@ -173,6 +173,7 @@ def subcommand(
         fresh = {
             name: point for name, point in points.items() if not _there(folder / name, point, given)
         }
+        runs.require_use(points.values(), **sources)
         inherited = {name: runs.inherit(point, seeds, **sources) for name, point in fresh.items()}
         for point in fresh.values():
             if point.learns_reward and point.env_id not in data:

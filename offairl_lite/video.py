@@ -1,17 +1,18 @@
 """Short MP4 films of policies, drawn without any graphics library and embedded in the page."""
 
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 
 import imageio_ffmpeg
 import mediapy
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 from IPython.display import HTML
 from jaxtyping import UInt8
 
 from offairl_lite import envs
-from offairl_lite.evaluate import seen
+from offairl_lite.evaluate import require_fit, seen
 from offairl_lite.policies import Policy
 
 
@@ -22,29 +23,54 @@ def frames(
 
     Args:
         policy: one member; take it with `policy.member(i)`.
-        env_id: one of the package's tasks.
+        env_id: one of the package's tasks, or another that renders frames.
         seed: of the episode.
         max_steps: where to stop at the latest.
         every: steps between frames.
 
     Raises:
-        ValueError: the policy has more than one member, or the task's observations are of another
-            size than it sees.
+        ValueError: the policy has more than one member, it sees or gives other numbers than the
+            task has, or the task does not render frames.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members in one film; choose one: policy.member(0)")
     policy = policy.to("cpu")
-    with closing(envs.make(env_id, 1, seed, render_mode="rgb_array")) as env:
+    with _filming(env_id):
+        env = envs.make(env_id, 1, seed, render_mode="rgb_array")
+    with closing(env):
+        require_fit(policy, env)
         obs, _ = env.reset()
-        pictures = [env.render()[0]]
+        pictures = [_picture(env, env_id)]
         for step in range(1, max_steps + 1):
             x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
             obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
             if step % every == 0:
-                pictures.append(env.render()[0])
+                pictures.append(_picture(env, env_id))
             if terminated[0] or truncated[0]:
                 break
     return np.stack(pictures)
+
+
+def _picture(env: VectorEnv, env_id: str) -> UInt8[np.ndarray, "H W 3"]:
+    """Return the present frame of an environment's only member."""
+    with _filming(env_id):
+        picture = env.render()[0]
+        if np.shape(picture)[2:] != (3,):
+            raise TypeError(f"render() returned {type(picture).__name__}")
+    return picture
+
+
+@contextmanager
+def _filming(env_id: str) -> Iterator[None]:
+    """Say of a task that does not render frames what it lacks."""
+    try:
+        yield
+    # What Python, Gymnasium's checker and its base class raise, in this order.
+    except (TypeError, AssertionError, NotImplementedError) as error:
+        raise ValueError(
+            f"{env_id} cannot be filmed: it needs render_mode='rgb_array', with which render() "
+            f"returns frames (height, width, 3); here: {error!r}"
+        ) from error
 
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:

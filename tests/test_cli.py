@@ -1,20 +1,26 @@
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import gymnasium
 import pytest
 import torch
 
 from offairl_lite import cli, jobs, runs
 from offairl_lite.demonstrations import EXPERTS
+from offairl_lite.discriminators import Reward
 from offairl_lite.execution import Execution
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.imitate import Trainer
-from offairl_lite.policies import Policy
+from offairl_lite.networks import Normaliser, StackedMLP
+from offairl_lite.policies import Policy, SquashedGaussian
 from offairl_lite.records import Plan, read
 from offairl_lite.sac import SAC
+from offairl_lite.streams import Streams
 
 SMALL = (
     "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
@@ -90,6 +96,26 @@ def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
     assert "PointMazeLeft-v0: 3 trajectories, 300 steps, return -" in capsys.readouterr().out
 
 
+def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewhere, minari_folder):
+    actor = SquashedGaussian(3, 1, (8,))
+    params, normaliser = actor.init(Streams((0, 1))), Normaliser.identity(2, 3)
+    Policy("Pendulum-v1", actor, params, normaliser).save("mine/policy.safetensors")
+    line = "demos Pendulum-v1 --trajectories 3"
+    message = failure(f"{line} --policy mine", capsys)
+    assert "--policy mine makes a data set, which needs a name: add --dataset" in message
+    offairl(f"{line} --policy mine --dataset own/folder-v0")
+    assert "Pendulum-v1: 3 trajectories, 600 steps, return -" in capsys.readouterr().out
+    offairl(f"{line} --policy mine/policy.safetensors --dataset own/file-v0")
+    made = capsys.readouterr().out
+    message = failure(f"{line} --policy mine --dataset own/file-v0", capsys)
+    assert "the data set own/file-v0 is there already, and is not overwritten" in message
+    offairl(f"{line} --dataset own/folder-v0")
+    assert capsys.readouterr().out == made  # the same policy's, and as it was
+    assert "3 trajectories were asked for" not in made
+    message = failure("demos Pendulum-v1 --dataset own/file-v0", capsys)
+    assert "50 trajectories were asked for; it has 3: give --trajectories 3, or fewer" in message
+
+
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
     offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {SMALL}")
     about = Plan.read(elsewhere / "thin").demonstrations
@@ -142,6 +168,35 @@ def test_watch_takes_a_task_or_a_policy_s_file(capsys, shipped_experts, elsewher
     for what in ("offairl/PointMazeLeft-v0", "experts/PointMazeLeft.safetensors"):
         offairl(f"watch {what} --max-steps 2 --env-id offairl/PointMazeRight-v0")
         assert "film.mp4: 3 frames of offairl/PointMazeRight-v0" in capsys.readouterr().out
+    offairl("watch offairl/PointMazeLeft-v0 --max-steps 2 --out films/new/one.mp4")
+    assert (elsewhere / "films" / "new" / "one.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("watch runs/imm", "no run or policy file runs/imm, and no expert is shipped for runs/imm"),
+        # The name of a task with experts, but not the task's.
+        ("watch runs/PointMazeLeft", "no run or policy file runs/PointMazeLeft"),
+        ("watch begun", "begun has no policy.safetensors, .*: `offairl resume begun` goes on"),
+        ("watch experts", "experts is not a run's folder: it has no config.json"),
+        ("watch begun/config.json", "begun/config.json is no safetensors file"),
+        ("watch Pendulum-v1", "no expert is shipped for Pendulum-v1"),
+        ("watch offairl/PointMazeLeft-v0 --out a.gif", "out is a.gif; expected .*: --out a.mp4"),
+        ("watch offairl/PointMazeLeft-v0 --env-id Hopper-v5", "sees 3 numbers, .* gives 11"),
+        (
+            "watch offairl/PointMazeLeft-v0 --env-id Pendulum-v1",
+            r"gives 2 numbers, .* \(1,\): choose",
+        ),
+    ],
+)
+def test_what_cannot_be_watched_is_said_before_it_is_drawn(
+    line, message, capsys, shipped_experts, elsewhere
+):
+    (elsewhere / "begun").mkdir()
+    (elsewhere / "begun" / "config.json").write_text("{}")
+    assert re.search(message, failure(line, capsys))
+    assert not list(elsewhere.rglob("*.mp4"))
 
 
 def test_a_task_and_data_of_one_s_own(capsys, write_dataset, elsewhere):
@@ -276,6 +331,54 @@ def test_a_member_that_diverges_is_told_of(capsys, elsewhere, monkeypatch):
         (1, 100),
         (0, 200),
     ]
+
+
+ARM = """
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+class Arm(gymnasium.Env):
+    observation_space, action_space = Box(-9, 9, (3,)), Box(-2, 2, (2,))
+
+    def __init__(self, mass=1):
+        self.mass = mass
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.obs = self.np_random.uniform(-1, 1, 3).astype(np.float32)
+        return self.obs, {}
+
+    def step(self, action):
+        self.obs = self.obs + np.float32(0.01 / self.mass) * np.append(action, 0)
+        self.obs = self.obs.astype(np.float32)
+        return self.obs, float(-np.abs(self.obs).sum()), False, False, {}
+
+gymnasium.register("Arm-v0", entry_point=Arm, max_episode_steps=20)
+gymnasium.register("Heavy-v0", entry_point=Arm, kwargs={"mass": 3}, max_episode_steps=20)
+"""
+
+
+def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, monkeypatch):
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    (elsewhere / "arm.py").write_text(ARM)
+    small, net = f"{SMALL} --update-every 50", StackedMLP((3, 4, 1))
+    try:
+        offairl(f"run imitate --reward environment --env-id arm:Arm-v0 {small} --out one")
+        assert read("one").config.env_id == "arm:Arm-v0"
+        learned = net.init(Streams((0, 1))), Normaliser.identity(2, 3)
+        Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
+        line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen one {small}"
+        offairl(f"{line} --carry policy --carried one --out two --processes 2")
+        assert read("two").steps.tolist() == [100, 200]
+        offairl("verify two")
+        message = failure(f"{line} --carried one --out three", capsys)
+        assert "--carried one would not be used: add --carry policy" in message
+        assert not Path("three").exists()
+    finally:
+        for name in ("Arm-v0", "Heavy-v0"):
+            gymnasium.registry.pop(name, None)
+        sys.modules.pop("arm", None)
 
 
 def test_processes_share_the_members(capsys, elsewhere):

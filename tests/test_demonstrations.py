@@ -1,27 +1,69 @@
 import hashlib
 import json
 import shutil
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 
+import gymnasium
 import minari
 import numpy as np
 import pytest
 import torch
 from filelock import FileLock
+from minari.data_collector.episode_buffer import EpisodeBuffer
 
 from offairl_lite import absorbing, demonstrations
 from offairl_lite.demonstrations import Demonstrations, load, short_name
 from offairl_lite.envs.models import GOAL
 from offairl_lite.evaluate import rollout
 from offairl_lite.networks import Normaliser
-from offairl_lite.policies import Policy
+from offairl_lite.policies import Policy, SquashedGaussian
 from offairl_lite.replay import Batch
 from offairl_lite.streams import Streams
 
 MAZE = "offairl/PointMazeLeft-v0"
+BOX = gymnasium.spaces.Box
+
+
+class Arm(gymnasium.Env):
+    """A task of one's own, five steps long; the observation is the last action."""
+
+    def __init__(self, observations=None, actions=None, mass=1.0):
+        self.observation_space = observations or BOX(-9, 9, (2,))
+        self.action_space = actions or BOX(np.float32([-2, 0]), np.float32([4, 1]))
+        self.mass = mass
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.np_random.uniform(-1, 1, 2).astype(np.float32), {}
+
+    def step(self, action):
+        return np.float32(action) / np.float32(self.mass), float(action.sum()), False, False, {}
+
+
+@pytest.fixture
+def own():
+    """Register tasks of one's own, until the test is over."""
+    made = []
+
+    def register(env_id, entry_point=f"{__name__}:Arm", **kwargs):
+        made.append(env_id)
+        gymnasium.register(env_id, entry_point=entry_point, max_episode_steps=5, kwargs=kwargs)
+        return env_id
+
+    yield register
+    for env_id in made:
+        del gymnasium.registry[env_id]
+
+
+@pytest.fixture
+def arm_policy():
+    """Two random policies of the arm."""
+    actor = SquashedGaussian(2, 2, (8,))
+    return Policy("ownbot/Arm-v0", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 2))
 
 
 def test_a_data_set_of_one_s_own_is_loaded_with_its_actions_rescaled(write_dataset):
@@ -89,19 +131,76 @@ def test_wrong_data_are_refused_with_what_was_expected_and_what_was_found(
     write_dataset, change, message
 ):
     write_dataset("my/pendulum-v0", episodes=1, change=change)
-    with pytest.raises(ValueError, match=r"my/pendulum-v0, episode 0: " + message):
+    where = "data set my/pendulum-v0, episode 0, for the task Pendulum-v1: "
+    with pytest.raises(ValueError, match=where + message):
         load("Pendulum-v1", 1, "my/pendulum-v0")
 
 
 def test_data_of_another_task_are_refused(write_dataset):
     write_dataset("my/pendulum-v0")
-    message = r"expected observations of shape \(201, 11\); found \(201, 3\)"
+    message = (
+        r"pendulum-v0, .* Hopper-v5: expected observations of shape \(201, 11\); found \(201, 3"
+    )
     with pytest.raises(ValueError, match=message):
         load("Hopper-v5", 2, "my/pendulum-v0")
     # The maze's observations are three numbers as well; its actions are two.
     message = r"expected actions of shape \(200, 2\); found \(200, 1\)"
     with pytest.raises(ValueError, match=message):
         load(MAZE, 2, "my/pendulum-v0")
+
+
+def test_data_of_another_task_that_fit_are_taken_and_the_log_says_so(own, write_dataset, caplog):
+    light, heavy = own("ownbot/Arm-v0"), own("ownbot/ArmHeavy-v0", mass=3.0)
+    write_dataset("own/light-v0", light)
+    load(light, 2, "own/light-v0")
+    assert not caplog.records
+    data = load(heavy, 2, "own/light-v0")
+    assert (data.env_id, data.lengths) == (heavy, (5, 5))
+    (message,) = caplog.messages
+    assert (
+        f"own/light-v0 was made on {light}, and is taken for demonstrations of {heavy}" in message
+    )
+    assert "nothing else tells the two tasks apart" in message
+
+
+@pytest.mark.filterwarnings("ignore:.* is (set to )?None")
+def test_a_data_set_that_names_no_task_is_taken_in_silence(own, minari_folder, caplog):
+    env = gymnasium.make(own("ownbot/Arm-v0"))
+    arrays = {"observations": np.zeros((6, 2), np.float32), "actions": np.zeros((5, 2), np.float32)}
+    ends = {"terminations": [False] * 5, "truncations": [False] * 4 + [True]}
+    minari.create_dataset_from_buffers(
+        "own/buffers-v0",
+        [EpisodeBuffer(id=0, rewards=[0.0] * 5, **arrays, **ends)],
+        observation_space=env.observation_space,
+        action_space=env.action_space,
+    )
+    assert load("ownbot/Arm-v0", 1, "own/buffers-v0").lengths == (5,)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("spaces", "message"),
+    [
+        ({"observations": gymnasium.spaces.Dict(x=BOX(0, 1, (2,)))}, "the observation space Dict"),
+        ({"actions": gymnasium.spaces.Discrete(2)}, "the action space Discrete"),
+        ({"actions": BOX(-np.inf, np.inf, (2,))}, "every action must have finite bounds"),
+        ({"actions": BOX(-2, 4, (2,), np.int64)}, "of integers, .* make it a float32 Box"),
+        ({"actions": BOX(1, 1, (2,))}, "the bounds of every action must differ"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*maximum and minimum values are equal")
+def test_a_task_with_other_spaces_than_boxes_is_refused(own, write_dataset, spaces, message):
+    write_dataset("own/arm-v0", own("ownbot/Arm-v0"), episodes=1)
+    odd = own("ownbot/Odd-v0", **spaces)
+    with pytest.raises(ValueError, match=f"{odd}: .*{message}"):
+        load(odd, 1, "own/arm-v0")
+
+
+def test_a_misspelt_task_with_a_data_set_is_answered_with_what_there_is(write_dataset):
+    write_dataset("my/pendulum-v0", episodes=1)
+    message = r"unknown environment 'Pendulm-v1'. Known are .*PointMazeLeft.*my_module:MyTask-v0"
+    with pytest.raises(ValueError, match=message):
+        load("Pendulm-v1", 1, "my/pendulum-v0")
 
 
 def test_too_few_trajectories_are_refused(write_dataset):
@@ -173,8 +272,90 @@ def test_what_was_given_up_half_way_is_made_anew(minari_folder, shipped_experts)
 
 
 def test_a_task_without_experts_lists_those_that_have_some(minari_folder, shipped_experts):
-    with pytest.raises(FileNotFoundError, match=r"Pendulum-v1 \(there are: PointMazeLeft\)"):
+    with pytest.raises(FileNotFoundError, match=rf"Pendulum-v1 \(there are: {MAZE}\)"):
         load("Pendulum-v1")
+
+
+def test_a_task_of_one_s_own_with_the_name_of_a_shipped_one_is_another(
+    own, minari_folder, shipped_experts
+):
+    shipped, there = load(MAZE, 2), minari.list_local_datasets()
+    mine = own("ownbot/PointMazeLeft-v0", observations=BOX(-9, 9, (3,)))
+    message = rf"no expert is shipped for {mine} \(there are: {MAZE}\); pass the id of a Minari"
+    for look in (load, demonstrations.expert, demonstrations.write_reference):
+        with pytest.raises(FileNotFoundError, match=message):
+            look(mine)
+    assert minari.list_local_datasets() == there
+    assert torch.equal(load(MAZE, 2).transitions.obs, shipped.transitions.obs)
+    demonstrations.generate(shipped_experts, MAZE, 2, "own/maze-v0")
+    assert torch.equal(load(MAZE, 2, "own/maze-v0").transitions.obs, shipped.transitions.obs)
+
+
+@pytest.mark.parametrize("entry_point", [f"{__name__}:Arm", Arm])
+def test_a_policy_of_one_s_own_makes_a_data_set(
+    own, arm_policy, minari_folder, caplog, entry_point
+):
+    arm = own("ownbot/Arm-v0", entry_point)
+    made = demonstrations.generate(arm_policy, arm, 3, "own/trained-v0")
+    dataset = minari.load_dataset("own/trained-v0")
+    assert dataset.spec.env_spec.id == arm
+    episodes = list(dataset.iterate_episodes())
+    for i, episode in enumerate(episodes):
+        # The task tells what it was given, in its own units.
+        np.testing.assert_allclose(episode.actions, episode.observations[1:], atol=1e-6)
+        assert all(action in dataset.action_space for action in episode.actions)
+        np.testing.assert_array_equal(episode.observations[:-1], made.obs[i % 2, i // 2])
+    assert max(np.abs(episode.actions).max() for episode in episodes) > 1
+    data = load(arm, 3, "own/trained-v0")
+    given = np.concatenate([made.action[i % 2, i // 2] for i in range(3)])
+    np.testing.assert_allclose(data.transitions.action, given, atol=1e-6)
+    assert not caplog.records
+
+
+def test_a_task_is_named_with_its_module(arm_policy, tmp_path, minari_folder, monkeypatch, caplog):
+    (tmp_path / "bots.py").write_text(
+        f"import gymnasium\nfrom {__name__} import Arm\n"
+        "gymnasium.register('Bot-v0', entry_point=Arm, max_episode_steps=5)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        demonstrations.generate(arm_policy, "bots:Bot-v0", 2, "own/bot-v0")
+        for env_id in ("bots:Bot-v0", "Bot-v0"):
+            assert load(env_id, 2, "own/bot-v0").env_id == env_id
+        assert not caplog.records
+    finally:
+        gymnasium.registry.pop("Bot-v0", None)
+        sys.modules.pop("bots", None)
+
+
+def test_a_data_set_that_is_there_is_not_overwritten(own, arm_policy, write_dataset):
+    arm = own("ownbot/Arm-v0")
+    write_dataset("own/arm-v0", arm)
+    before = load(arm, 2, "own/arm-v0")
+    message = "the data set own/arm-v0 is there already, and is not overwritten: choose another"
+    with pytest.raises(FileExistsError, match=message):
+        demonstrations.generate(arm_policy, arm, 3, "own/arm-v0")
+    assert torch.equal(load(arm, 2, "own/arm-v0").transitions.obs, before.transitions.obs)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "trajectories", "name", "message"),
+    [
+        ("ownbot/Arm-v0", 0, "own/arm-v0", "trajectories is 0; expected at least 1"),
+        ("ownbot/Arm-v0", 1, "arm", "'arm' is no name for a Minari data set; expected one such as"),
+        ("ownbot/Arm-v0", 1, "../arm-v0", "is no name for a Minari data set"),
+        ("ownbot/Amr-v0", 1, "own/arm-v0", "unknown environment 'ownbot/Amr-v0'"),
+        ("Pendulum-v1", 1, "own/arm-v0", "Arm-v0 gives 2 numbers, and actions of Pendulum-v1 have"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_before_any_work(
+    own, arm_policy, minari_folder, monkeypatch, env_id, trajectories, name, message
+):
+    own("ownbot/Arm-v0")
+    monkeypatch.setattr(demonstrations, "rollout", None)
+    with pytest.raises(ValueError, match=message):
+        demonstrations.generate(arm_policy, env_id, trajectories, name)
+    assert not minari.list_local_datasets()
 
 
 @pytest.mark.parametrize(

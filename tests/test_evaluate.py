@@ -44,6 +44,32 @@ def by_hand(policy, env_id, seed):
     return [np.array(part) for part in zip(*steps, strict=True)], terminated
 
 
+@pytest.mark.parametrize("extra", [0, 1])
+def test_an_action_is_in_the_units_of_the_task(extra):
+    policy = random_policy("Hopper-v5", extra).member(1)
+    low, high = np.array([-2, 0, -1], np.float32), np.array([2, 5, 1], np.float32)
+    obs = np.random.default_rng(0).normal(size=11)
+    given = evaluate.action(policy, obs, gymnasium.spaces.Box(low, high))
+    x = torch.tensor([*obs, *[0] * extra], dtype=torch.float32)
+    expected = np.interp(policy.act(x.view(1, 1, -1))[0, 0], [-1, 1], [0, 1]) * (high - low) + low
+    np.testing.assert_allclose(given, expected, rtol=1e-6)
+    assert given.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("members", "size", "actions", "message"),
+    [
+        ((0, 1), 11, 3, r"2 members for one action; choose one: policy.member\(0\)"),
+        ((0,), 12, 3, "sees 11 numbers, and the task gives 12"),
+        ((0,), 11, 2, r"gives 3 numbers, and actions have the shape \(2,\)"),
+    ],
+)
+def test_an_action_of_something_else_is_refused(members, size, actions, message):
+    policy = random_policy("Hopper-v5").member(*members)
+    with pytest.raises(ValueError, match=message):
+        evaluate.action(policy, np.zeros(size), gymnasium.spaces.Box(-1, 1, (actions,)))
+
+
 class Endless(gymnasium.Env):
     """A task without a time limit; episodes have three steps at most, and end with `at_end`."""
 
@@ -181,6 +207,15 @@ def test_misfits_are_refused():
         rollout(policy, policy.env_id, (0, 1, 2), 1)
     with pytest.raises(ValueError, match="sees 3 numbers, and the task gives 11"):
         rollout(policy, "Hopper-v5", SEEDS, 1)
+
+
+def test_another_number_of_actions_is_refused():
+    actor = SquashedGaussian(3, 1, (8,))
+    policy = Policy("Lever-v0", actor, actor.init(Streams(SEEDS)), Normaliser.identity(2, 3))
+    with pytest.raises(
+        ValueError, match=r"Lever-v0 gives 1 numbers, .* \(2,\): choose a task with"
+    ):
+        rollout(policy, "offairl/PointMazeLeft-v0", SEEDS, 1)
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half():

@@ -29,10 +29,11 @@ def maze(random_demonstrations):
     return random_demonstrations(MAZE)
 
 
-def frozen_reward(members, env_id=MAZE, obs_dim=3):
-    net = StackedMLP((obs_dim, 4, 1), "tanh")
+def frozen_reward(members, env_id=MAZE, obs_dim=3, action_dim=0):
+    """One of the state alone where `action_dim` is 0."""
+    net = StackedMLP((obs_dim + action_dim, 4, 1), "tanh")
     params = net.init(Streams(range(members)))
-    return Reward(env_id, net, True, params, Normaliser.identity(members, obs_dim))
+    return Reward(env_id, net, not action_dim, params, Normaliser.identity(members, obs_dim))
 
 
 def run(config, seeds, *given):
@@ -716,15 +717,34 @@ def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
         Trainer(replace(tiny, reward_sees=(0, 3)), (0,), maze)
 
 
-def test_a_frozen_reward_of_other_observations_is_refused(tiny):
-    frozen = replace(tiny, reward="frozen")
-    with pytest.raises(ValueError, match=r"sees 5 numbers; with absorbing='none', .* gives 3"):
-        Trainer(frozen, (0,), None, frozen_reward(1, obs_dim=5))
+@pytest.mark.parametrize(
+    ("kind", "obs_dim", "gives", "cure"),
+    [
+        ("none", 5, 3, "it is of another task, Hopper-v5; give the reward of one like offairl/"),
+        ("none", 2, 3, "it is of another task"),
+        ("none", 4, 3, "with an absorbing state, set absorbing='bootstrap'"),
+        ("bootstrap", 3, 4, "without an absorbing state, set absorbing='none'"),
+        ("analytic", 5, 4, "it is of another task"),
+    ],
+)
+def test_a_frozen_reward_of_other_observations_is_refused(tiny, kind, obs_dim, gives, cure):
+    frozen = replace(tiny, reward="frozen", absorbing=kind)
+    message = f"sees {obs_dim} numbers; with absorbing='{kind}', .* gives {gives}: .*{cure}"
+    with pytest.raises(ValueError, match=message):
+        Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim))
+
+
+@pytest.mark.parametrize("kind", ["none", "bootstrap"])
+def test_a_frozen_reward_of_other_actions_is_refused(tiny, kind):
+    frozen, obs_dim = replace(tiny, reward="frozen", absorbing=kind), 3 + (kind != "none")
+    with pytest.raises(ValueError, match=r"Hopper-v5, with 3 actions, and .*Left-v0 has 2: give"):
+        Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim, action_dim=3))
+    assert len(run(frozen, (0,), None, frozen_reward(1, obs_dim=obs_dim, action_dim=2)).rows) == 2
 
 
 def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze):
     frozen = replace(tiny, reward="frozen")
-    with pytest.raises(ValueError, match="3 frozen rewards for 2 seeds"):
+    with pytest.raises(ValueError, match=r"3 frozen rewards for 2 seeds: .* --seeds 0 1 2$"):
         Trainer(frozen, (0, 1), None, frozen_reward(3))
     with pytest.raises(ValueError, match="go together"):
         Trainer(frozen, (0, 1))
@@ -732,9 +752,16 @@ def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze):
         Trainer(tiny, (0,), maze, frozen_reward(1))
 
 
-def test_no_seeds_no_run(tiny, maze):
+@pytest.mark.parametrize("seeds", [(), np.arange(0)], ids=["tuple", "array"])
+def test_no_seeds_no_run(tiny, maze, seeds):
     with pytest.raises(ValueError, match="no seeds"):
-        Trainer(tiny, (), maze)
+        Trainer(tiny, seeds, maze)
+
+
+def test_seeds_may_be_an_array(tiny, maze):
+    one = run(tiny, np.array([1, 3]), maze)
+    assert_same(one, run(tiny, (1, 3), maze))
+    assert {type(seed) for seed in [*one.seeds, *(row.seed for row in one.rows)]} == {int}
 
 
 def test_an_unknown_task_is_refused(tiny):

@@ -661,6 +661,34 @@ def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog
     assert manifest(folder)["continued"] == [later]
 
 
+def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch):
+    monkeypatch.setattr(Trainer, "_step", lambda self: self._give_up("eye", torch.ones(2) > 0))
+    runs.create(folder, plain, SEEDS)
+    with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is not finite"):
+        resume(folder)
+    assert manifest(folder)["state"] == "stopped: every member has diverged"
+    assert list(records.read(str(folder)).diverged) == list(SEEDS)
+
+
+@pytest.mark.parametrize("what", ["frozen", "carried", "guide"])
+def test_what_would_not_be_used_is_refused(what, plain, tmp_path):
+    files = {what: (tmp_path / "policy.safetensors",)}
+    with pytest.raises(ValueError, match=rf"--{what} .*policy.safetensors would not be used: add "):
+        runs.require_use([plain], **files)
+    uses = replace(plain, reward="frozen", carry="policy", start_steps=20)
+    runs.require_use([plain, uses], **files)
+    runs.require_use([plain], **{what: ()})
+
+
+def test_a_run_s_folder_stands_for_what_it_has(plain, tmp_path):
+    frozen_reward(2).save(tmp_path / "reward.safetensors")
+    policy(plain).save(tmp_path / "policy.safetensors")
+    config = replace(plain, reward="frozen", carry="policy")
+    found = runs.inherit(config, SEEDS, frozen=[tmp_path], carried=[tmp_path])
+    assert torch.equal(found["reward"].params, frozen_reward(2).params)
+    assert torch.equal(found["policy"].params, policy(plain).params)
+
+
 def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
     usage = namedtuple("Usage", "total used free")(10**9, 10**9 - 10**5, 10**5)
     with monkeypatch.context() as patch:

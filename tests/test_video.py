@@ -1,3 +1,4 @@
+import gymnasium
 import numpy as np
 import pytest
 
@@ -36,6 +37,86 @@ def test_a_film_ends_with_its_episode():
 def test_a_policy_of_another_task_is_refused():
     with pytest.raises(ValueError, match="PointMazeLeft-v0 sees 3 numbers, and the task gives 11"):
         video.frames(policy(), "Hopper-v5")
+    with pytest.raises(ValueError, match=r"gives 1 numbers, and actions have the shape \(2,\)"):
+        video.frames(policy(action_dim=1), MAZE)
+
+
+class Unseen(gymnasium.Env):
+    """A task that knows nothing of rendering."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (3,))
+    action_space = gymnasium.spaces.Box(-1, 1, (2,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        return np.zeros(3, np.float32), 0.0, False, False, {}
+
+
+class OnScreen(Unseen):
+    """As Gymnasium's manual writes a task; this one has a window alone."""
+
+    metadata = {"render_modes": ["human"], "render_fps": 9}  # noqa: RUF012
+
+    def __init__(self, render_mode=None):
+        assert render_mode is None or render_mode in self.metadata["render_modes"]
+
+
+class Unwritten(Unseen):
+    """A task without a `render`."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 9}  # noqa: RUF012
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+
+class Empty(Unwritten):
+    """A task that draws nothing."""
+
+    def render(self):
+        return None
+
+
+class Drawn(Unwritten):
+    """A task that renders."""
+
+    def render(self):
+        return np.zeros((16, 16, 3), np.uint8)
+
+
+@pytest.fixture
+def register():
+    """Register tasks, and forget them afterwards."""
+    known = set(gymnasium.registry)
+    yield lambda kind: gymnasium.register("Mine-v0", entry_point=kind, max_episode_steps=5)
+    for env_id in set(gymnasium.registry) - known:
+        gymnasium.registry.pop(env_id)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium's, which say less.
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        (Unseen, "TypeError.*takes no arguments"),
+        (OnScreen, "AssertionError"),
+        (Unwritten, "NotImplementedError"),
+        (Empty, "NoneType"),
+    ],
+)
+def test_a_task_that_renders_no_frames_is_named(kind, why, register):
+    register(kind)
+    message = f"Mine-v0 cannot be filmed: it needs render_mode='rgb_array', .*{why}"
+    with pytest.raises(ValueError, match=message) as error:
+        video.frames(policy(), "Mine-v0")
+    assert "\n" not in str(error.value)
+
+
+def test_a_task_of_one_s_own_is_filmed(register):
+    register(Drawn)
+    assert video.frames(policy(), "Mine-v0").shape == (6, 16, 16, 3)
 
 
 def test_one_film_one_member():

@@ -10,12 +10,14 @@ know them:
   barrier, from two starts.
 """
 
+import importlib
 import math
 from collections.abc import Sequence
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RescaleAction
 
@@ -23,7 +25,7 @@ from offairl_lite.envs.batched import BatchedEnv
 from offairl_lite.envs.serial import SerialEnv
 from offairl_lite.envs.tasks import TASKS
 
-__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "make"]
+__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "make", "require_boxes", "spec"]
 
 
 class SingleEnv(gymnasium.Env):
@@ -67,6 +69,61 @@ class SingleEnv(gymnasium.Env):
         return self._members.render()[0]
 
 
+def spec(env_id: str) -> EnvSpec:
+    """What is registered under an id; a module before it, `my_module:MyTask-v0`, is imported.
+
+    Raises:
+        ModuleNotFoundError: there is no such module.
+        ValueError: the id is not known; the message lists the package's own, and says how to add
+            one.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module:
+        try:
+            importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                f"{env_id}: {error}; expected a module that registers {name}: start where it is, "
+                "or put its folder into PYTHONPATH"
+            ) from error
+    try:
+        return gymnasium.spec(name)
+    except gymnasium.error.Error as error:
+        raise ValueError(
+            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and whatever is "
+            "registered with Gymnasium: register your own with "
+            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
+            "module that does so, --env-id my_module:MyTask-v0"
+        ) from error
+
+
+def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> None:
+    """Raise ValueError unless both spaces of a task are boxes with one axis.
+
+    That of the actions must be of floats, with finite bounds, low < high.
+    """
+    for name, space in (("observation", observation_space), ("action", action_space)):
+        if not isinstance(space, Box) or len(space.shape) != 1:
+            raise ValueError(
+                f"{env_id}: the {name} space {space} is not supported; observations and actions "
+                "must each be a gymnasium.spaces.Box with one axis (see "
+                "gymnasium.wrappers.FlattenObservation)"
+            )
+    if action_space.dtype.kind != "f":
+        raise ValueError(
+            f"{env_id}: the action space {action_space} is of integers, to which a policy's "
+            "actions would be rounded; make it a float32 Box, and round in the task's own step "
+            "if it must be"
+        )
+    if not action_space.is_bounded():
+        raise ValueError(f"{env_id}: every action must have finite bounds, not {action_space}")
+    if not (action_space.low < action_space.high).all():
+        raise ValueError(
+            f"{env_id}: the bounds of every action must differ, low < high, and those of "
+            f"{action_space} do not; leave actions that cannot be chosen out of the space"
+        )
+
+
 def make(
     env_id: str,
     population: int,
@@ -92,7 +149,8 @@ def make(
         render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
 
     Raises:
-        ValueError: the id is not known; its spaces are not flat (and, for actions, bounded) boxes;
+        ModuleNotFoundError: the id names a module that is not there.
+        ValueError: the id is not known; its spaces are not what `require_boxes` expects;
             `population` is below 1; or the number of seeds is not `population`.
     """
     seeds = [seed + i for i in range(population)] if isinstance(seed, int) else list(seed)
@@ -107,36 +165,18 @@ def make(
             autoreset_mode=AutoresetMode.DISABLED,
             render_mode=render_mode,
         )
+    spec(env_id)  # Refuses an unknown one with more help than Gymnasium gives.
     # An environment that cannot be rendered need not know the word.
     rendering = {} if render_mode is None else {"render_mode": render_mode}
-    try:
-        env = gymnasium.make_vec(
-            env_id,
-            num_envs=population,
-            vectorization_mode="sync",
-            vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
-            **rendering,
-        )
-    except gymnasium.error.UnregisteredEnv as error:
-        raise ValueError(
-            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and whatever is "
-            "registered with Gymnasium: register your own with "
-            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
-            "module that does so, --env-id my_module:MyTask-v0"
-        ) from error
-    for name, space in (
-        ("observation", env.single_observation_space),
-        ("action", env.single_action_space),
-    ):
-        if not isinstance(space, Box) or len(space.shape) != 1:
-            raise ValueError(
-                f"{env_id}: the {name} space {space} is not supported; observations and actions "
-                "must each be a gymnasium.spaces.Box with one axis (see "
-                "gymnasium.wrappers.FlattenObservation)"
-            )
+    env = gymnasium.make_vec(
+        env_id,
+        num_envs=population,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+        **rendering,
+    )
+    require_boxes(env_id, env.single_observation_space, env.single_action_space)
     actions = env.single_action_space
-    if not actions.is_bounded():
-        raise ValueError(f"{env_id}: every action must have finite bounds, not {actions}")
     ones = np.ones_like(actions.high)
     if not (np.array_equal(actions.low, -ones) and np.array_equal(actions.high, ones)):
         env = RescaleAction(env, -ones, ones)

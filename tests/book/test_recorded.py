@@ -13,8 +13,9 @@ import pytest
 from offairl_lite import records, runs
 from offairl_lite.config import Config, differences
 from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
+from offairl_lite.provenance import PACKAGES
 from offairl_lite.records import Plan, read_json
-from offairl_lite.runs import INHERITED, PACKAGES
+from offairl_lite.runs import INHERITED
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"

@@ -1,5 +1,7 @@
 """Gymnasium's checkers, `gymnasium.make`, `gymnasium.make_vec` and `envs.make`."""
 
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -104,10 +106,27 @@ def test_make_leaves_actions_between_minus_one_and_one_alone():
 
 @pytest.mark.parametrize("unknown", ["Nonsense-v0", "offairl/CustomAnt-v9", "nobody/Nothing-v0"])
 def test_unknown_id_lists_the_known_ones(unknown):
-    with pytest.raises(
-        ValueError, match=r"(?s)unknown.*offairl/PointMazeLeft-v0.*gymnasium.register"
-    ):
-        envs.make(unknown, 1, 0)
+    for look in (envs.spec, lambda unknown: envs.make(unknown, 1, 0)):
+        with pytest.raises(
+            ValueError, match=r"(?s)unknown.*offairl/PointMazeLeft-v0.*gymnasium.register"
+        ):
+            look(unknown)
+
+
+def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
+    (tmp_path / "modular.py").write_text(
+        "import gymnasium\ngymnasium.register('Modular-v0', entry_point='nowhere:Env')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        assert envs.spec("modular:Modular-v0").id == "Modular-v0"
+    finally:
+        gymnasium.registry.pop("Modular-v0", None)
+        sys.modules.pop("modular", None)
+    with pytest.raises(ModuleNotFoundError, match=r"no_such:Modular-v0: .*folder into PYTHON"):
+        envs.spec("no_such:Modular-v0")
+    with pytest.raises(ValueError, match="unknown environment 'sys:Modular-v0'"):
+        envs.spec("sys:Modular-v0")
 
 
 @pytest.mark.parametrize(
@@ -123,8 +142,21 @@ def test_unknown_id_lists_the_known_ones(unknown):
             {"actions": gymnasium.spaces.Box(-np.inf, np.inf, (2,))},
             "every action must have finite bounds",
         ),
+        (
+            {"actions": gymnasium.spaces.Box(-2, 2, (2,), np.int32)},
+            "of integers, to which a policy's actions would be rounded; make it a float32 Box",
+        ),
+        (
+            {"actions": gymnasium.spaces.Box(np.float32([0, 1]), np.float32([1, 1]))},
+            r"the bounds of every action must differ, low < high",
+        ),
+        (
+            {"observations": gymnasium.spaces.Dict(x=gymnasium.spaces.Discrete(2))},
+            "the observation space Dict.*not supported",
+        ),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*maximum and minimum values are equal")
 def test_unsupported_spaces_are_errors(spaces, message):
     gymnasium.register("Odd-v0", entry_point=Doubler, kwargs=spaces)
     try:
@@ -132,6 +164,12 @@ def test_unsupported_spaces_are_errors(spaces, message):
             envs.make("Odd-v0", 1, 0)
     finally:
         del gymnasium.registry["Odd-v0"]
+
+
+def test_flat_boxes_of_numbers_are_supported():
+    whole = gymnasium.spaces.Box(0, 255, (3,), np.uint8)
+    for dtype in (np.float32, np.float64):
+        envs.require_boxes("Own-v0", whole, gymnasium.spaces.Box(-2, 3, (2,), dtype))
 
 
 @pytest.mark.parametrize(("population", "seed"), [(0, 0), (2, [1]), (1, [1, 2])])
