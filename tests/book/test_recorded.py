@@ -13,6 +13,7 @@ import pytest
 from offairl_lite import records, runs
 from offairl_lite.config import Config, differences
 from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
+from offairl_lite.networks import load_weights
 from offairl_lite.provenance import PACKAGES
 from offairl_lite.records import Plan, read_json
 from offairl_lite.runs import INHERITED
@@ -120,6 +121,15 @@ def run_of(folder, plan):
 
 def test_what_is_named_is_recorded():
     assert set(VARIED) | EARLY <= set(FOLDERS)
+
+
+def test_what_primitives_offer_is_recorded_of_those_that_were_carried_over():
+    pushes, about = load_weights(HOME / "maze-mcp-full/pushes.safetensors", "pushes")
+    for k in (4, 8):
+        assert len(pushes[f"{k}-softmax"]) == 10
+        for arm in ("gate", "gate-own-starts", "gate-expert-starts"):
+            plan = Plan.read(HOME / f"maze-retraining-full/{k}-{arm}")
+            assert plan.inherited["carried"]["digest"] == about["digests"][f"{k}-softmax"]
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
