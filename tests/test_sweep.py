@@ -209,8 +209,10 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     path = Path("here/temperature=0.1")
     shown = {"dataset": None, "trajectories": 50, "subsample": 1, "experts": None}
     inherited = {"frozen": {"files": ["one"], "digest": ""}}
-    replace(Plan.read(path), demonstrations=shown, inherited=inherited).write(path)
-    same = f"maze-expert --grid temperature=0.1 {SMALL} --out here --frozen one"
+    plan = Plan.read(path)
+    config = replace(plan.config, reward="frozen")
+    replace(plan, config=config, demonstrations=shown, inherited=inherited).write(path)
+    same = f"maze-expert --grid temperature=0.1 {SMALL} --out here --reward frozen --frozen one"
     assert offairl(same) == []
     for other, message in [
         ("--trajectories 5", "is a run with trajectories 50, not 5: give the same, or choose"),
