@@ -13,11 +13,13 @@ from offairl_lite import absorbing, imitate
 from offairl_lite.config import RELEASE
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
+from offairl_lite.evaluate import rollout
 from offairl_lite.execution import Execution
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
 from offairl_lite.policies import Policy, SquashedGaussian
 from offairl_lite.ppo import PPO
+from offairl_lite.replay import Batch
 from offairl_lite.sac import SAC, stochastic_actor
 from offairl_lite.streams import Streams
 
@@ -126,6 +128,10 @@ def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
     torch.testing.assert_close(together.reward.params[1:2], alone.reward.params, rtol=0, atol=1e-3)
     np.testing.assert_allclose(together.returns[1:2], alone.returns, rtol=1e-3)
     assert np.abs(together.returns[0] - together.returns[1]).max() > 1e-2
+    rows = [row for row in together.rows if row.seed == 3]
+    for one, other in zip(rows[:2], alone.rows[:2], strict=True):
+        assert one.metrics == pytest.approx(other.metrics, rel=1e-2, abs=1e-3)
+        assert one.learned_return == pytest.approx(other.learned_return, rel=1e-2)
 
 
 def test_blocks_of_an_episode_s_length_are_the_ends_of_episodes(tiny, maze):
@@ -230,7 +236,7 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
         with monkeypatch.context() as patch:
             patch.setattr(SAC, "update", update)
             trainer = Trainer(
-                replace(config, centre_reward=centred), (0,), random_demonstrations(HOPPER)
+                replace(config, centre_reward=centred), (0, 1), random_demonstrations(HOPPER)
             )
             until(trainer, lambda t: t.trained == 50)
     (plain, there), (centred, centred_there) = (
@@ -238,6 +244,84 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
     )
     torch.testing.assert_close(centred, plain - plain.mean(1, keepdim=True))
     torch.testing.assert_close(centred_there, there - plain.mean(1, keepdim=True))
+
+
+def updates_of(monkeypatch):
+    """What SAC is updated with from now on: batch, reward, reward of the absorbing state."""
+    seen, original = [], SAC.update
+
+    def update(self, batch, reward, there, noise):
+        seen.append((batch, reward, there))
+        return original(self, batch, reward, there, noise)
+
+    monkeypatch.setattr(SAC, "update", update)
+    return seen
+
+
+def test_a_reward_is_scaled(tiny, monkeypatch):
+    seen = updates_of(monkeypatch)
+    run(replace(tiny, reward="environment", reward_scale=3.0), (0,))
+    assert all(torch.equal(reward, 3 * batch.reward) for batch, reward, _ in seen)
+
+
+@pytest.mark.parametrize("reward", ["dac", "implementation-1"])
+def test_the_absorbing_state_is_paid_its_own_reward(
+    tiny, random_demonstrations, monkeypatch, reward
+):
+    seen = updates_of(monkeypatch)
+    changes = {"env_id": HOPPER, "update_every": 50, "absorbing": "analytic"}
+    config = replace(tiny, **changes, reward=reward, reward_scale=2.0)
+    trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
+    until(trainer, lambda t: t.trained == 50)
+    there, zero = absorbing.absorbing_state(torch.empty(2, 1, 12)), torch.zeros(2, 1)
+    own = Batch(there, torch.zeros(2, 1, 3), there, zero, zero)
+    torch.testing.assert_close(seen[-1][2], 2 * trainer.discriminator.reward(own, zero))
+
+
+def test_the_absorbing_state_is_kept_for_the_member_that_came_to_it(tiny, random_demonstrations):
+    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
+    obs, one = torch.zeros(1, 11), torch.ones(1)
+    trainer._store(Batch(obs, torch.zeros(1, 3), obs, one, one), torch.tensor([1]))
+    assert trainer.replay.sizes == [0, 2]
+
+
+def test_log_prob_in_the_reward_is_that_of_before_the_block(tiny, maze, monkeypatch):
+    seen, original = [], SAC.log_prob
+
+    def log_prob(self, batch, params=None):
+        if params is not None:
+            seen.append(params.clone())
+        return original(self, batch, params)
+
+    monkeypatch.setattr(SAC, "log_prob", log_prob)
+    trainer = Trainer(replace(tiny, reward="implementation-1"), (0,), maze)
+    until(trainer, lambda t: t.trained == 100)  # in two chunks
+    assert len(seen) == 2
+    assert torch.equal(*seen)
+    assert not torch.equal(seen[0], trainer.generator.actor_params)
+
+
+def test_rows_are_of_their_member_s_own_episodes(tiny):
+    # One of the net's last weights: r is 1 for the first member, 2 for the second, everywhere.
+    reward = frozen_reward(2, HOPPER, 11)
+    reward.params.zero_()
+    reward.params[:, reward.net.num_params - 5] = torch.tensor([1.0, 2.0])
+    config = replace(tiny, env_id=HOPPER, update_every=50, reward="frozen", eval_episodes=5)
+    result = run(config, (3, 7), None, reward)
+    episodes = rollout(result.policy, HOPPER, (3, 7), 5)
+    assert len(np.unique(episodes.lengths)) > 1
+    for i, row in enumerate(result.rows[-2:]):
+        np.testing.assert_array_equal(row.returns, episodes.returns[i])
+        assert row.learned_return == pytest.approx((i + 1) * episodes.lengths[i].mean())
+
+
+def test_the_warm_up_holds_an_action_as_long_as_it_says(tiny):
+    steps = {"warmup_steps": 1001, "total_steps": 1101}
+    trainer = Trainer(replace(tiny, reward="environment", warmup_hold=4.0, **steps), range(10))
+    until(trainer, lambda t: t.steps == 1000)
+    fresh = (trainer.replay.last(1000).pre_tanh.diff(dim=1) != 0).all(-1).float().mean()
+    assert abs(fresh - 1 / 4) < 4 * (0.25 * 0.75 / 9_990) ** 0.5  # four standard errors
 
 
 @pytest.mark.parametrize(
@@ -631,6 +715,23 @@ def test_environments_are_closed(faulty, tiny, monkeypatch):
 
 
 # Putting a run back where it was.
+
+
+@pytest.mark.parametrize("steps", [50, 100, 160])
+def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(tiny, tmp_path, steps):
+    config = replace(tiny, reward="environment", update_every=31, warmup_hold=5.0, start_steps=40)
+
+    def trainer():
+        guide, path = earlier_policy(config, 2), tmp_path / "replay"
+        return Trainer(config, (0, 1), guide=guide, replay_file=path, memory=60)
+
+    expected, one = finish(trainer()), trainer()
+    until(one, lambda t: t.steps == steps)
+    state = {name: tensor.clone() for name, tensor in one.state().items()}
+    other = trainer()
+    other.restore(state)
+    rows = finish(other)
+    assert_same_rows(rows, expected[len(expected) - len(rows) :])
 
 
 @pytest.mark.parametrize("steps", [0, 50, 100, 130, 175])

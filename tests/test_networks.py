@@ -133,7 +133,8 @@ def test_weights_of_zero_survive_spectral_normalisation():
 @pytest.mark.parametrize("sizes", [(4, 1), (4, 6, 7, 1)])
 def test_a_bottleneck_at_its_mean_is_a_network(sizes):
     form, x = Bottleneck(sizes, 3, "tanh"), inputs(4)
-    params = form.init(Streams(range(S))).double()
+    count = form.encoder.num_params + form.head.num_params
+    params = Streams(range(S)).normal(count).double()  # biases too, which begin at zero
     encoder, head = params.split([form.encoder.num_params, form.head.num_params], 1)
     mean, log_std = form.encoder(encoder, x).chunk(2, -1)
     torch.testing.assert_close(form.net(form.at_mean(params), x), form.head(head, mean))

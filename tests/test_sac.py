@@ -240,6 +240,18 @@ def test_the_actor_climbs_the_soft_value():
 
 
 @both
+def test_targets_begin_as_copies(learner):
+    config = replace(CORRECTED, hidden=(8,), reward="environment")
+    made = learner(config, 3, 2, Streams((0, 1)), Normaliser.identity(2, 3))
+    pairs = [(made.target_params, made.critic_params)]
+    if learner is TD3:
+        pairs.append((made.target_actor_params, made.actor_params))
+    for target, trained in pairs:
+        assert torch.equal(target, trained)
+        assert target.data_ptr() != trained.data_ptr()
+
+
+@both
 def test_termination_cuts_the_bootstrap(learner):
     learner, (batch, reward, noise) = make(learner), data()
     batch = batch._replace(terminated=torch.ones(2, B))

@@ -7,7 +7,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from offairl_lite.envs import TASKS, BatchedEnv, models
-from offairl_lite.envs.tasks import in_marsh
+from offairl_lite.envs.tasks import Physics, in_marsh
 
 STEPS = 400
 
@@ -16,6 +16,20 @@ def disabled_autoreset(task, seeds, **options):
     return BatchedEnv(
         task, len(seeds), seeds=seeds, autoreset_mode=AutoresetMode.DISABLED, **options
     )
+
+
+@pytest.mark.parametrize("task", ["Hopper-v5", "Walker2d-v5", "Ant-v5"])
+def test_an_episode_ends_where_gymnasium_s_does_wherever_the_body_is(task):
+    env, rng, ends = gymnasium.make(task).unwrapped, np.random.default_rng(0), []
+    joints, speeds = env.init_qpos.shape, env.init_qvel.shape
+    for _ in range(500):
+        far = rng.normal(size=joints) * rng.choice([0.1, 1, 50]) * (rng.random(joints) < 0.3)
+        env.set_state(env.init_qpos + far, rng.normal(size=speeds) * rng.choice([1, 60]))
+        physics = Physics(env.data.qpos[None].copy(), env.data.qvel[None].copy(), None, None)
+        ends.append(not env.is_healthy)
+        assert TASKS[task].terminated(physics)[0] == ends[-1]
+    env.close()
+    assert 0 < np.mean(ends) < 1
 
 
 @pytest.mark.parametrize("task", ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5"])
