@@ -284,6 +284,11 @@ class Config:
             raise ValueError("carry='primitives', and there are none: set primitives")
         if self.carry != "nothing" and self.generator == "td3":
             raise ValueError(f"carry={self.carry!r} is not for td3: use generator='sac' or 'ppo'")
+        if self.start_steps and self.learns_reward and self.replay_density == "mixture":
+            raise ValueError(
+                f"start_steps is {self.start_steps}, and replay_density='mixture' counts the steps "
+                "of a guide, which replay does not hold: set one of them to 0 or 'policy'"
+            )
         if not 0 <= self.start_steps < self.warmup_steps:
             raise ValueError(
                 f"start_steps is {self.start_steps}; expected 0 or more, and fewer than the "

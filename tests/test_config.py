@@ -56,6 +56,10 @@ PPO = {"generator": "ppo", "update_every": 100}
         ({"start_steps": -1}, "start_steps is -1"),
         ({"start_steps": 100, "warmup_steps": 100}, "start_steps is 100; expected .* the 100 warm"),
         (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
+        (
+            {"start_steps": 5, "replay_density": "mixture"},
+            "start_steps is 5, and replay_density='mixture' counts the steps of a guide",
+        ),
         (PPO | {"centre_reward": True}, "centre_reward=True is for replay"),
         ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
