@@ -29,6 +29,7 @@ RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r i
 LENGTH = {"total_steps"}
 VARIED = {
     "maze-imitation-2-demo": {"reward"},
+    "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
     "maze-imitation-fresh-demo": {"warmup_hold"},
     "maze-imitation-raw-demo": {"normalise"},
     "maze-imitation-released-loss-demo": {"policy_in_logit"},
