@@ -25,7 +25,7 @@ from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite import envs
-from offairl_lite.evaluate import Episodes, rollout
+from offairl_lite.evaluate import Episodes, require_actions, rollout
 from offairl_lite.policies import Policy, unsquash
 from offairl_lite.replay import Batch
 
@@ -280,11 +280,7 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
         )
     env = _task(env_id)
     low, high = env.action_space.low, env.action_space.high
-    if policy.actor.action_dim != len(low):
-        raise ValueError(
-            f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers, and actions "
-            f"of {env_id} have {len(low)}: give a policy that was trained on it, or on one like it"
-        )
+    require_actions(policy, env.action_space)
     first = made = _block(policy, env_id)
     buffer: list[EpisodeBuffer] = []
     with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
