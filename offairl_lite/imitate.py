@@ -337,7 +337,7 @@ class Trainer:
             pre_tanh = actor.explore(params, scaled, noise).squeeze(1)
             finite = pre_tanh.isfinite()
             if not finite.all():
-                self._give_up("actions", ~finite.all(-1))
+                self._give_up("actions", ~finite.all(-1), self._remedy)
                 pre_tanh = pre_tanh.where(finite, 0)
         action = torch.tanh(pre_tanh)
         if self.guided.any():
@@ -459,7 +459,7 @@ class Trainer:
         # Those that were given up have been trained along, so they are zeroed again.
         lost = torch.tensor([seed in self.diverged for seed in self.seeds], device=self.device)
         for name, weights in self._learned().items():
-            self._give_up(name, lost | ~weights.isfinite().all(-1))
+            self._give_up(name, lost | ~weights.isfinite().all(-1), self._remedy)
 
     def _train_discriminator(self, minibatches: int) -> None:
         size = max(self.config.batch_size // self.horizon, 1) * self.horizon
@@ -604,12 +604,15 @@ class Trainer:
             tensors["shaping"] = self.discriminator.value_params.detach()
         return tensors
 
-    def _give_up(
-        self,
-        name: str,
-        diverged: Bool[Tensor, "S"],
-        cure: str = "lower learning_rate or reward_scale",
-    ) -> None:
+    @property
+    def _remedy(self) -> str:
+        """What to do about weights that are not finite."""
+        remedy = "lower learning_rate or reward_scale"
+        if self.config.generator == "sac" and self.config.temperature is None:
+            remedy += ", or set temperature, if the learned one had risen without end (curve.csv)"
+        return remedy
+
+    def _give_up(self, name: str, diverged: Bool[Tensor, "S"], cure: str) -> None:
         """Go on without some members: with weights of zero they do no harm.
 
         Raises:

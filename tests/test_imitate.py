@@ -611,6 +611,16 @@ def test_divergence_names_seed_step_and_tensor_and_spares_the_others(tiny, delay
     assert result.rows[-1] == beside.rows[-2]
 
 
+@pytest.mark.parametrize("temperature", [None, 0.2])
+def test_a_learned_temperature_is_among_what_may_have_diverged(tiny, temperature):
+    reward = frozen_reward(2)
+    reward.params[1] = torch.nan
+    config = replace(tiny, reward="frozen", temperature=temperature)
+    with pytest.warns(UserWarning, match="lower learning_rate"):
+        why = run(config, (3, 7), None, reward).diverged[7]
+    assert ("or set temperature" in why) == (temperature is None)
+
+
 def test_who_was_given_up_stays_at_zero(tiny):
     trainer = Trainer(replace(tiny, reward="environment", total_steps=400), (3, 7))
     until(trainer, lambda t: t.steps == 150)
