@@ -134,6 +134,19 @@ def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
         assert one.learned_return == pytest.approx(other.learned_return, rel=1e-2)
 
 
+@pytest.mark.parametrize("absorbing", ["none", "bootstrap", "analytic"])
+def test_a_member_trains_alone_where_episodes_end(tiny, random_demonstrations, absorbing):
+    shown = random_demonstrations(HOPPER)
+    config = replace(tiny, env_id=HOPPER, temperature=None, update_every=50, absorbing=absorbing)
+    together, alone = (run(config, seeds, shown) for seeds in ((1, 3, 7), (3,)))
+    assert together.rows[-1].episodes > 5
+    torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
+    torch.testing.assert_close(together.reward.params[1:2], alone.reward.params, rtol=0, atol=1e-3)
+    assert [row.episodes for row in together.rows if row.seed == 3] == [
+        row.episodes for row in alone.rows
+    ]
+
+
 def test_blocks_of_an_episode_s_length_are_the_ends_of_episodes(tiny, maze):
     assert_same(run(tiny, (0, 1), maze), run(replace(tiny, update_every=100), (0, 1), maze))
 
@@ -949,7 +962,7 @@ def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
 
     trainer.env.step = watch
     while not trainer.finished:
-        if trainer.steps % 100 == 0 and len(actions) == trainer.steps:
+        if trainer.steps == 100 * len(lengths) < 400:  # an episode begins
             lengths.append(trainer.guided.clone())
         trainer.advance()
     for guided, action, theirs in actions:
@@ -959,6 +972,8 @@ def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny):
     assert (guided_steps > 0).all()
     assert trainer.replay.added.tolist() == (400 - guided_steps).tolist()
     drawn = torch.stack(lengths)
+    acts = np.stack([guided for guided, *_ in actions]).reshape(4, 100, 2)
+    assert (acts == (np.arange(100)[:, None] < drawn.numpy()[:, None])).all()
     assert (drawn <= 40).all()
     assert len(drawn.unique()) > 4
 

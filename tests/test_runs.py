@@ -431,6 +431,16 @@ def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
         resume(folder)
 
 
+def test_guides_of_several_files_take_turns(plain, tmp_path):
+    guides = policy(plain)
+    for member in (0, 1):
+        guides.member(member).save(tmp_path / str(member))
+    config = replace(plain, start_steps=20)
+    files = tmp_path / "1", tmp_path / "0"
+    given = runs.inherit(config, (3, 7, 5, 9, 2), guide=files)["guide"]
+    assert torch.equal(given.params, guides.params[[1, 0, 1, 0, 1]])
+
+
 def test_rewards_of_several_files_are_one_population(plain, tmp_path):
     config, reward = replace(plain, reward="frozen"), frozen_reward(3)
     reward.member(0, 1).save(tmp_path / "two")

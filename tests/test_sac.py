@@ -293,6 +293,21 @@ def test_the_actor_s_update_leaves_the_critics_alone(learner):
     assert torch.equal(with_actor.critic_params, without.critic_params)
 
 
+def test_next_actions_and_the_actor_s_own_are_drawn_apart():
+    batch, reward, noise = data()
+    learners = []
+    for changed in (None, 0, 1):
+        drawn = noise.clone()
+        if changed is not None:
+            drawn[changed] = -drawn[changed]
+        learners.append(make(actor_delay=1))
+        update(learners[-1], batch, reward, drawn)
+    same, next_actions, own = (learner.critic_params for learner in learners)
+    assert not torch.equal(same, next_actions)
+    assert torch.equal(same, own)
+    assert not torch.equal(learners[0].actor_params, learners[2].actor_params)
+
+
 @pytest.mark.parametrize(("target_entropy", "rises"), [(50.0, True), (-50.0, False)])
 def test_a_learned_temperature_moves_towards_the_target_entropy(target_entropy, rises):
     learner = make(temperature=None, target_entropy=target_entropy, actor_delay=1)
