@@ -9,14 +9,18 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pytest
+import torch
 
 from offairl_lite import records, runs
 from offairl_lite.config import Config, differences
 from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
-from offairl_lite.networks import load_weights
+from offairl_lite.networks import Normaliser, load_weights
+from offairl_lite.policies import Policy
 from offairl_lite.provenance import PACKAGES
 from offairl_lite.records import Plan, read_json
 from offairl_lite.runs import INHERITED
+from offairl_lite.sac import stochastic_actor
+from offairl_lite.streams import Streams
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"
@@ -114,6 +118,10 @@ FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.s
 FILES |= {"frozen.safetensors", "carried.safetensors", "guide.safetensors"}
 
 
+def cells(folder, chapter=CHAPTER):
+    return nbformat.read(folder / f"{chapter}.ipynb", as_version=4).cells
+
+
 def run_of(folder, plan):
     """The name of the run that a record is of."""
     variant = folder.split("/")[-1] if EXPERIMENTS[plan.experiment].variants else ""
@@ -131,6 +139,26 @@ def test_what_primitives_offer_is_recorded_of_those_that_were_carried_over():
         for arm in ("gate", "gate-own-starts", "gate-expert-starts"):
             plan = Plan.read(HOME / f"maze-retraining-full/{k}-{arm}")
             assert plan.inherited["carried"]["digest"] == about["digests"][f"{k}-softmax"]
+
+
+def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, monkeypatch):
+    """With other policies: those that were carried over are not kept here."""
+    cell = next(c for c in cells(ROOT / "book", "09_transfer") if c.id == "c9gate1")
+    (recipe,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
+    actor = stochastic_actor(configure("maze-mcp/8-softmax", "demo"), 3, 2)
+    policy = Policy("", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
+    path = tmp_path / "runs/maze-mcp-full/8-softmax/policy.safetensors"
+    path.parent.mkdir(parents=True)
+    policy.save(path)
+    monkeypatch.chdir(tmp_path)
+    names = {"np": np, "torch": torch, "Policy": Policy}
+    exec(recipe, names)
+    furthest = names["leftmost"](names["policy"], names["below"])
+    recorded, _ = load_weights(HOME / "maze-mcp-full/pushes.safetensors", "pushes")
+    assert furthest.shape[1:] == recorded["8-softmax"].shape[1:]
+    with torch.no_grad():
+        means, *_ = actor.parts(policy.params, names["below"].expand(2, -1, -1))
+    assert torch.equal(furthest, torch.tanh(means)[..., 0].min(2).values)
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
@@ -216,10 +244,6 @@ def test_what_a_figure_would_draw_is_a_record_of_that_run(run, scale):
     about = VARIED.get(folder, set()) - {"eval_every"}
     own = replace(own, **{name: getattr(plan.config, name) for name in about})
     assert differences(own, configure(run, "full")) == {}
-
-
-def cells(folder):
-    return nbformat.read(folder / f"{CHAPTER}.ipynb", as_version=4).cells
 
 
 def test_the_chapter_names_every_run_with_its_record_or_as_not_run_yet(book):
