@@ -20,7 +20,6 @@ def origin(execution: Execution) -> dict[str, Any]:
     """Return what produces a run, and when it was begun."""
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "wall_s": 0.0,
         "versions": {name: version(name) for name in PACKAGES},
         "machine": platform.machine(),
         "processor": processor(),

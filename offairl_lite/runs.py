@@ -161,7 +161,8 @@ def create(
         (made / "members").mkdir(parents=True)
         plan.write(made)
         (made / "curve.csv").write_text(HEADER)
-        write_json(made / "run.json", {"state": "waiting", **origin(execution), "shards": {}})
+        about = {"state": "waiting", **origin(execution), "wall_s": 0.0, "shards": {}}
+        write_json(made / "run.json", about)
         for name, thing in inherited.items():
             thing.save(made / f"{name}.safetensors")
         os.replace(made, there)

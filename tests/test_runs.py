@@ -663,6 +663,7 @@ def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog
     ended = manifest(folder)
     (later,) = ended["continued"]
     assert (later["step"], later["processor"]) == (80, "an abacus")
+    assert "wall_s" not in later  # that of the whole run is in one place
     assert ended["processor"] == began["processor"]
     assert "goes on from step 80 with other processor: an abacus, before" in caplog.text
     # The same once more is no news.
@@ -672,7 +673,9 @@ def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog
 
 
 def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch):
-    monkeypatch.setattr(Trainer, "_step", lambda self: self._give_up("eye", torch.ones(2) > 0))
+    monkeypatch.setattr(
+        Trainer, "_step", lambda self: self._give_up("eye", torch.ones(2) > 0, "look")
+    )
     runs.create(folder, plain, SEEDS)
     with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is not finite"):
         resume(folder)
