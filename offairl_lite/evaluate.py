@@ -267,10 +267,11 @@ def probability_of_improvement(
 
     Returns:
         The probability, and the ends of its percentile bootstrap interval over the seeds of both.
-        With ten seeds a side the interval is somewhat short: it covers the truth in 5 of 6 cases
-        where 95 % are asked for. Of a single run nothing is known: from 0 to 1.
+        It is too short where seeds are few and wins are sure. Of normal returns, where 95 % are
+        asked for, it covers the truth in 94 to 84 cases of 100 with ten seeds a side, as the
+        probability goes from 0.5 to 0.92; in 90 to 62 with five, and in 82 to 36 with three. Of a
+        single run nothing is known: from 0 to 1.
     """
-
     found = float(np.heaviside(np.subtract.outer(one, other), 0.5).mean())
     if min(len(one), len(other)) < 2:
         return found, 0.0, 1.0
