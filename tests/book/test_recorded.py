@@ -71,7 +71,22 @@ VARIED = {
             "policy-released-order",
             "policy-own-starts",
             "policy-expert-starts",
+            "4-both",
+            "4-gate",
+            "8-both",
+            "8-gate",
         )
+    },
+    # Whose primitives are carried over to the other ant.
+    **{
+        f"ant-rewards-mcp-{k}-demo/implementation-4-mixture": {
+            "centre_reward",
+            "primitives",
+            "trunk_hidden",
+            "primitive_hidden",
+            "gate_hidden",
+        }
+        for k in (4, 8)
     },
     # On-policy methods take longer.
     **{
@@ -112,7 +127,7 @@ EARLY = {
 NAMELESS = {"maze-transfer-demo"} | {
     folder
     for folder in FOLDERS
-    if re.match(r"ant-transfer-demo/(?!true)|maze-retraining-demo/[48]-", folder)
+    if re.match(r"ant-transfer-demo/(?!true|.*\b[48]-)|maze-retraining-demo/[48]-", folder)
 }
 FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.safetensors"}
 FILES |= {"frozen.safetensors", "carried.safetensors", "guide.safetensors"}
