@@ -30,6 +30,23 @@ def is_absorbing(obs: Float[Tensor, "*batch O+1"]) -> Bool[Tensor, "*batch"]:
     return obs[..., -1] == 1
 
 
+def fit(obs: Float[Tensor, "*batch O"], size: int, whose: str) -> Float[Tensor, "*batch O+1"]:
+    """Return a task's observations as they are seen by what may know of an absorbing state.
+
+    Args:
+        obs: of the task, extended or not.
+        size: the numbers that are seen: O or, of what knows of an absorbing state, O + 1.
+        whose: they are seen by, for the message.
+
+    Raises:
+        ValueError: they are of another size.
+    """
+    there = obs.shape[-1]
+    if size not in (there, there + 1):
+        raise ValueError(f"{whose} sees {size} numbers, and the task gives {there}")
+    return obs if there == size else extend(obs)
+
+
 def absorbing_state(like: Float[Tensor, "*batch O+1"]) -> Float[Tensor, "*batch O+1"]:
     """Return the absorbing state, in the shape of extended observations."""
     return torch.nn.functional.one_hot(

@@ -457,7 +457,7 @@ def measure(options: Options) -> dict[str, Any]:
     """
     for package, module in (OTHERS[name] for name in options.against):
         if find_spec(module) is None:
-            raise ValueError(f"{package} is not installed: pip install 'offairl-lite[bench]'")
+            raise ValueError(f"{package} is not installed: pip install -e '.[bench]', in a clone")
     Execution(options.device, options.threads, options.compile)  # refuses what is not there
     torch.set_num_threads(options.threads)
     # First, while this process is small: Linux counts what it holds among its children's peak.

@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from offairl_lite import demonstrations, jobs, logs, provenance, records, runs, scale, sweep, video
 from offairl_lite.bench import Options, estimate, measure, table
 from offairl_lite.config import Config
-from offairl_lite.execution import Execution, fitting, is_large
+from offairl_lite.execution import Execution, is_large
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.policies import Policy
 from offairl_lite.scale import Scale
@@ -86,6 +86,11 @@ def demos(
         policy: a run's folder, or a policy's file, to make the data set of: all members take
             turns, and actions are sampled.
     """
+    if dataset is not None and experts is not None:
+        raise ValueError(
+            f"--experts {experts} would not be used, since {dataset} is by none of the shipped "
+            "ones: leave it out"
+        )
     if policy is not None:
         if dataset is None:
             raise ValueError(
@@ -223,16 +228,9 @@ def _run_command(name: str, size: Scale):
         scale: Scale = size,
         seeds: tuple[int, ...] = experiment.seeds[size],
         out: Path | None = None,
-        dataset: str | None = None,
-        trajectories: int = 50,
-        subsample: int = 1,
-        experts: int | None = experiment.experts[size],
-        frozen: tuple[Path, ...] = (),
-        carried: tuple[Path, ...] = (),
-        guide: tuple[Path, ...] = (),
-        device: Literal["cpu", "cuda"] = "cpu",
-        threads: int = 1,
-        compile: Literal["auto", "yes", "no"] = "auto",
+        given: Annotated[sweep.Given, OmitArgPrefixes] = sweep.Given(  # noqa: B008
+            experts=experiment.experts[size]
+        ),
         processes: int | None = None,
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
     ) -> None:
@@ -243,39 +241,29 @@ def _run_command(name: str, size: Scale):
             scale: demo takes minutes, full is the paper's protocol.
             seeds: one member of the population for each.
             out: the folder to write; by default runs/EXPERIMENT-SCALE.
-            dataset: a Minari data set to imitate; by default the shipped experts'.
-            trajectories: how many of its episodes to use.
-            subsample: of each, only every so many-th transition.
-            experts: of how many of the shipped experts they are, from the first on; None: of all.
-            frozen: an earlier run, or its reward.safetensors, where the reward is frozen; of
-                several, one population after the other.
-            carried: an earlier run, or its policy.safetensors, where `carry` is not nothing.
-            guide: policies that act at the start of episodes, where there are `start_steps`.
-            device: where networks live.
-            threads: of PyTorch and of the physics, in each process; small networks are fastest
-                with one.
-            compile: whether updates are compiled; auto: long runs of large networks.
+            given: what it is given beside its configuration.
             processes: that share the members; by default one, or for large networks one a core.
             config: everything else.
         """
         sweep.require_defaults(experiment, scale, name, size)
-        if config.reward == "frozen" and not frozen and (source := find(experiment).reward_from):
+        if (
+            config.reward == "frozen"
+            and not given.frozen
+            and (source := find(experiment).reward_from)
+        ):
             raise ValueError(
                 f"{experiment} is paid by the reward of another run: first `offairl run "
                 f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
             )
-        sources = {"frozen": frozen, "carried": carried, "guide": guide}
-        runs.require_use([config], **sources)
-        inherited = runs.inherit(config, seeds, **sources)
-        data = None
-        if config.learns_reward:
-            data = demonstrations.load(config.env_id, trajectories, dataset, subsample, experts)
+        given.require_use([config], find(experiment).experts[scale])
+        inherited = runs.inherit(config, seeds, **given.files)
+        data = given.demonstrations(config.env_id) if config.learns_reward else None
         if processes is None:
-            one_a_core = is_large(config) and device == "cpu"
+            one_a_core = is_large(config) and given.device == "cpu"
             processes = min(jobs.cores(), len(seeds)) if one_a_core else 1
         if processes < 1:
             raise ValueError(f"processes is {processes}; expected at least 1")
-        execution = fitting(config, device, threads, compile)
+        execution = given.execution(config)
         folder = out or Path("runs") / f"{experiment}-{scale}"
         needed = runs.create(
             folder,
@@ -283,11 +271,8 @@ def _run_command(name: str, size: Scale):
             seeds,
             execution=execution,
             demonstrations=data,
-            dataset=dataset,
-            subsample=subsample,
-            experts=experts,
             **inherited,
-            sources=sources,
+            sources=given.files,
             experiment=experiment,
             scale=scale,
             shards=processes,
@@ -366,7 +351,9 @@ def main(args: Sequence[str] | None = None) -> None:
     ]
     try:
         # The experiment and the scale decide the defaults that --help shows, so they come first.
-        name = next((arg for arg in args if arg in EXPERIMENTS), "maze-imitation")
+        # What follows an option is its value, `--out imitate`.
+        free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
+        name = next((arg for arg in free if arg in EXPERIMENTS), "maze-imitation")
         sizes = [after for before, after in pairwise(args) if before == "--scale"]
         size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
         several = sweep.subcommand(name, size, runs.create)

@@ -6,7 +6,7 @@ import logging
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -48,12 +48,15 @@ class Demonstrations:
         transitions: axes `N`, in order, with actions scaled to [-1, 1].
         lengths: transitions of each episode.
         whole_returns: of each episode, where `transitions` are only some of its steps.
+        source: what `load` was asked for, to load them again: `dataset`, `subsample` and `experts`.
+            None: they are from elsewhere.
     """
 
     env_id: str
     transitions: Batch
     lengths: tuple[int, ...]
     whole_returns: tuple[float, ...] | None = None
+    source: Mapping[str, Any] | None = None
 
     @property
     def returns(self) -> np.ndarray:
@@ -179,6 +182,7 @@ def load(
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     if subsample < 1:
         raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
+    source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         policy = expert(env_id)
         if experts is not None:
@@ -204,6 +208,7 @@ def load(
                     shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
                     _compare(generate(policy, env_id, trajectories, dataset_id), env_id)
     else:
+        source["experts"] = None  # It is by none of ours.
         known = _known()
         if dataset_id not in known:
             raise FileNotFoundError(
@@ -213,7 +218,8 @@ def load(
                 "minari.create_dataset_from_buffers, or have `offairl demos --policy` make one"
             )
     data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
-    return data if subsample == 1 else data.subsample(every=subsample)
+    thin = data if subsample == 1 else data.subsample(every=subsample)
+    return replace(thin, source=source)
 
 
 def _known() -> dict[str, dict[str, Any]]:
@@ -352,8 +358,9 @@ def _storable(spec: EnvSpec) -> EnvSpec:
 def write_reference(env_id: str) -> Path:
     """Write down, beside the shipped experts of a task, what they do here.
 
-    That is `returns`, of each expert's mode over ten episodes, and what tells the demonstrations
-    that they make here from those that they make elsewhere.
+    That is `returns`, of each expert's mode over ten episodes; `demonstrated`, the mean return of
+    50 demonstrations of the first expert, of the first two, and so on, as `load` counts `experts`;
+    and what tells the demonstrations that they make here from those that they make elsewhere.
 
     Returns:
         The file, to be shipped with the experts.
@@ -364,7 +371,8 @@ def write_reference(env_id: str) -> Path:
     path = expert_file(env_id).with_suffix(".json")
     policy = expert(env_id)
     returns = [round(float(mean), 4) for mean in _mode_returns(policy)]
-    content = {"returns": returns, **_description(_block(policy, env_id), env_id)}
+    shown = {"returns": returns, "demonstrated": _demonstrated(policy, env_id)}
+    content = {**shown, **_description(_block(policy, env_id), env_id)}
     path.write_text(json.dumps(content, indent=2) + "\n")
     return path
 
@@ -373,6 +381,13 @@ def _block(policy: Policy, env_id: str, first: int = 0) -> Episodes:
     """Make the `first` episode of each expert and those that follow."""
     seeds = range(len(policy))
     return rollout(policy, env_id, seeds, BLOCK, sample=True, purpose=PURPOSE, first=first)
+
+
+def _demonstrated(policy: Policy, env_id: str, count: int = 50) -> list[float]:
+    """Return the mean return of so many demonstrations, by the first expert, the first two, ..."""
+    blocks = [_block(policy, env_id, first).returns for first in range(0, count, BLOCK)]
+    returns, i = np.concatenate(blocks, 1), np.arange(count)
+    return [round(float(returns[i % n, i // n].mean()), 4) for n in range(1, len(policy) + 1)]
 
 
 def _description(made: Episodes, env_id: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from offairl_lite.absorbing import fit
 from offairl_lite.config import Config
 from offairl_lite.networks import (
     TINY,
@@ -143,12 +144,16 @@ class Reward:
     ) -> Float[Tensor, "S B"]:
         """Return r; `action` may be left out of a reward of the state alone.
 
+        Observations may be without the indicator of an absorbing state, as the task gives them.
+
         Raises:
-            ValueError: it is left out of a reward of state and action.
+            ValueError: it is left out of a reward of state and action, or the observations are of
+                another size.
         """
         if not self.state_only and action is None:
             raise ValueError(f"the reward of {self.env_id} is r(s, a): give it the actions, too")
-        obs = self.normaliser(obs)
+        size = self.normaliser.mean.shape[-1]
+        obs = self.normaliser(fit(obs, size, f"the reward of {self.env_id}"))
         x = obs if self.state_only else torch.cat([obs, action], -1)
         return self.net(self.params, x).squeeze(-1)
 

@@ -13,12 +13,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.absorbing import extend
+from offairl_lite.absorbing import fit
 from offairl_lite.policies import Policy
 from offairl_lite.streams import Streams
 
 LONGEST = 20_000
 """Steps by which an episode must end where the task has no time limit."""
+
+
+class NotFiniteError(ValueError):
+    """A task gave an observation or a reward that is not finite, to some `members`."""
+
+    def __init__(self, env_id: str, members: Sequence[int]) -> None:
+        super().__init__(f"an observation or reward of {env_id} is not finite: mend it")
+        self.members = members
 
 
 class Episodes(NamedTuple):
@@ -63,12 +71,7 @@ def seen(policy: Policy, obs: Float[Tensor, "*axes O"]) -> Float[Tensor, "*axes 
     Raises:
         ValueError: they are of another size.
     """
-    there, expected = obs.shape[-1], policy.actor.obs_dim
-    if expected not in (there, there + 1):
-        raise ValueError(
-            f"the policy of {policy.env_id} sees {expected} numbers, and the task gives {there}"
-        )
-    return obs if there == expected else extend(obs)
+    return fit(obs, policy.actor.obs_dim, f"the policy of {policy.env_id}")
 
 
 def require_actions(policy: Policy, space: Box) -> None:
@@ -103,7 +106,8 @@ def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.
     require_actions(policy, space)
     x = torch.as_tensor(obs, dtype=torch.float32, device=policy.params.device)
     unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
-    return (space.low + (unit + 1) / 2 * (space.high - space.low)).astype(space.dtype)
+    scaled = (space.low + (unit + 1) / 2 * (space.high - space.low)).astype(space.dtype)
+    return np.clip(scaled, space.low, space.high)  # which rounding may leave
 
 
 def rollout(
@@ -130,9 +134,9 @@ def rollout(
         num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
+        NotFiniteError: an observation or a reward of the task is not finite.
         ValueError: seeds and members are not equally many, the policy sees or gives other numbers
-            than the task has, an observation is not finite, or an episode of a task without a time
-            limit does not end.
+            than the task has, or an episode of a task without a time limit does not end.
     """
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
@@ -162,8 +166,9 @@ def rollout(
             noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
             action = policy.act(x, noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
-            if not (np.isfinite(next_obs).all() and np.isfinite(reward).all()):
-                raise ValueError(f"an observation or reward of {env_id} is not finite: mend it")
+            broken = running & ~(np.isfinite(next_obs).all(1) & np.isfinite(reward))
+            if broken.any():
+                raise NotFiniteError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
             steps.append((obs, action, next_obs, reward, running))
             ended |= running & terminated
             done = terminated | truncated

@@ -26,7 +26,7 @@ from offairl_lite import absorbing, envs
 from offairl_lite.config import Config
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
-from offairl_lite.evaluate import Episodes, rollout
+from offairl_lite.evaluate import Episodes, NotFiniteError, rollout
 from offairl_lite.execution import Execution
 from offairl_lite.networks import Normaliser
 from offairl_lite.policies import Policy, defensive_log_density, unsquash
@@ -444,6 +444,7 @@ class Trainer:
     def train(self, updates: int) -> None:
         """Train the discriminator `updates` times, then the generator as often, from replay.
 
+        `config.discriminator_updates`, where it is set, is how often the discriminator is trained.
         PPO goes through the last `updates` steps instead.
         """
         if self.discriminator is not None:
@@ -499,7 +500,11 @@ class Trainer:
 
     @property
     def _uniform_share(self) -> float:
-        """Share of the warm-up among the steps that replay holds."""
+        """Share of the warm-up among the steps that replay holds.
+
+        Steps are counted as rows. Absorbing states add some, so that once replay forgets, the
+        warm-up is gone a little earlier than this says.
+        """
         forgotten = max(self.steps - self.config.replay_size, 0)
         warmup = max(self.config.warmup_steps - forgotten, 0)
         return warmup / (self.steps - forgotten)
@@ -554,38 +559,44 @@ class Trainer:
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes of each member's mode, the same ones every time."""
-        episodes = rollout(
-            self.generator.policy,
-            self.config.env_id,
-            self.seeds,
-            self.config.eval_episodes,
-            num_threads=self.execution.threads,
-        )
-        learned = self._learned_returns(episodes)
+        while True:
+            left = [i for i, seed in enumerate(self.seeds) if seed not in self.diverged]
+            try:
+                episodes = rollout(
+                    self.generator.policy.member(*left),
+                    self.config.env_id,
+                    [self.seeds[i] for i in left],
+                    self.config.eval_episodes,
+                    num_threads=self.execution.threads,
+                )
+                break
+            except NotFiniteError as error:
+                lost = torch.zeros(len(self.seeds), dtype=torch.bool)
+                lost[[left[i] for i in error.members]] = True
+                self._give_up("observation or reward", lost, f"mend {self.config.env_id}")
+        learned = self._learned_returns(episodes, left)
         return [
             Row(
-                seed,
+                self.seeds[i],
                 self.steps,
                 int(self.episodes[i]),
                 float(returns.mean()),
                 tuple(float(r) for r in returns),
-                float(learned[i].mean()),
+                float(paid.mean()),
                 {name: float(value[i]) for name, value in self.metrics.items()},
             )
-            for i, (seed, returns) in enumerate(zip(self.seeds, episodes.returns, strict=True))
-            if seed not in self.diverged
+            for i, returns, paid in zip(left, episodes.returns, learned, strict=True)
         ]
 
-    def _learned_returns(self, episodes: Episodes) -> np.ndarray:
+    def _learned_returns(self, episodes: Episodes, members: list[int]) -> np.ndarray:
         """Return the sum of r_ψ along each episode, `(S, E)`; NaN where no reward is learned."""
-        reward = self.reward
+        reward = self.reward and self.reward.member(*members)
         if reward is None:
             return np.full(episodes.returns.shape, np.nan)
         obs, action = (
             torch.as_tensor(x, dtype=torch.float32, device=self.device).flatten(1, 2)
             for x in (episodes.obs, episodes.action)
         )
-        obs = obs if self.config.absorbing == "none" else absorbing.extend(obs)
         r = reward(obs, action).view(episodes.reward.shape).cpu().numpy()
         return (r * episodes.running).sum(-1)
 
@@ -746,6 +757,12 @@ def complete(
                 except StopIteration:
                     break
         bar.update(trainer.steps - bar.n)
+    if trainer.finished and not trainer.trained:
+        warnings.warn(
+            f"nothing was trained: no episode was over between step {trainer.config.warmup_steps}, "
+            f"the end of the warm-up, and step {trainer.steps}; raise total_steps",
+            stacklevel=2,
+        )
     run.policy, run.reward = trainer.generator.policy, trainer.reward
     return run
 

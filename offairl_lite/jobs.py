@@ -26,6 +26,8 @@ from typing import Any, Literal, get_args
 
 from tqdm.auto import tqdm
 
+from offairl_lite.runs import home
+
 Engine = Literal["processes", "ray"]
 POLL_S = 1.0
 """Seconds between two looks at the jobs."""
@@ -52,7 +54,7 @@ class Job:
     @property
     def shard(self) -> Path:
         """Where these members are kept."""
-        return self.folder / "members" / "-".join(map(str, self.members))
+        return home(self.folder, self.members)
 
     @property
     def log(self) -> Path:
@@ -321,7 +323,7 @@ class Ray:
         try:
             import ray
         except ImportError:
-            raise ValueError("Ray is not installed: pip install 'offairl-lite[ray]'") from None
+            raise ValueError("Ray is not installed: pip install -e '.[ray]', in a clone") from None
         self.ray, self.workers, self.gpus = ray, workers, gpus
         self.owned = not ray.is_initialized()
         if self.owned:

@@ -32,7 +32,7 @@ class TensorBoard:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
             raise ImportError(
-                "TensorBoard is not installed: pip install 'offairl-lite[tensorboard]'"
+                "TensorBoard is not installed: pip install -e '.[tensorboard]', in a clone"
             ) from error
         self.folder, self._open, self._writers = Path(folder), SummaryWriter, {}
         self._written: set[tuple[int, int]] = set()

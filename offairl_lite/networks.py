@@ -42,13 +42,13 @@ class Normaliser(NamedTuple):
     def of(cls, *sources: Float[Tensor, "S _ O"]) -> Self:
         """Return the map that gives an even mixture of the sources mean 0 and spread 1.
 
-        A coordinate that hardly varies (standard deviation below 1e-3) is only centred: scaling
-        it up would turn rounding into signal.
+        A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
+        would turn rounding into signal.
         """
         mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
         squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
         std = torch.stack(squares).mean(0).sqrt()
-        return cls(mean, torch.where(std < 1e-3, 1.0, std))
+        return cls(mean, torch.where(std < 1e-8 + 1e-5 * mean.abs(), 1.0, std))
 
     def member(self, *index: int) -> Self:
         """Return the maps of these members alone."""

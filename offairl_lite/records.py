@@ -57,8 +57,9 @@ class Plan:
         config: of every member.
         shards: the seeds, in the order of all files, in groups that are trained together.
         execution: the fields of `Execution`.
-        demonstrations: `dataset` (None: the shipped experts'), `trajectories`, `subsample`,
-            `experts` and `digest`; None where no reward is learned.
+        demonstrations: `trajectories` and `digest`; `dataset` (None: the shipped experts'),
+            `subsample` and `experts` if `demonstrations.load` made them. None where no reward is
+            learned.
         checkpoint_every: steps and updates, together, between checkpoints.
         experiment: the name under which it was run, if any.
         scale: the scale at which it was run, if any.

@@ -73,9 +73,6 @@ def create(
     *,
     execution: Execution = Execution(),  # noqa: B008
     demonstrations: Demonstrations | None = None,
-    dataset: str | None = None,
-    subsample: int = 1,
-    experts: int | None = None,
     reward: Reward | None = None,
     policy: Policy | None = None,
     guide: Policy | None = None,
@@ -92,12 +89,8 @@ def create(
         config: what to do.
         seeds: one for each member.
         execution: where and how it is computed.
-        demonstrations: where a reward is to be learned.
-        dataset: their Minari data set, from which `work` loads them again; None: the shipped
-            experts'.
-        subsample: how they were thinned when they were loaded, for `work` to do so again.
-        experts: how many of the shipped experts they are by, for `work` as well; None: all, or a
-            `dataset`, which is by none of them.
+        demonstrations: where a reward is to be learned. `work` loads them again if
+            `demonstrations.load` has made them, and else must be given them.
         reward: a frozen reward, where `config.reward` is `frozen`.
         policy: one to carry over, where `config.carry` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
@@ -131,13 +124,10 @@ def create(
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
     if demonstrations is not None:
-        digest = _digest(demonstrations.transitions._asdict())
         shown = {
-            "dataset": dataset,
             "trajectories": len(demonstrations),
-            "subsample": subsample,
-            "experts": None if dataset else experts,
-            "digest": digest,
+            **(demonstrations.source or {}),
+            "digest": _digest(demonstrations.transitions._asdict()),
         }
     plan = Plan(
         config,
@@ -219,9 +209,17 @@ def _demonstrations(
     """Return what a run began with, loaded if it is not given.
 
     Raises:
-        ValueError: they have changed since.
+        ValueError: they have changed since, or there is nothing to load them from.
     """
     shown = plan.demonstrations
+    whose = "from elsewhere"
+    if "dataset" in shown:
+        whose = f"of {shown['dataset'] or 'the shipped experts'}"
+    elif given is None:
+        raise ValueError(
+            f"{folder} began with demonstrations that `demonstrations.load` has not made: give the "
+            "same to `runs.work` again"
+        )
     if given is None:
         given = data.load(
             plan.config.env_id,
@@ -232,8 +230,8 @@ def _demonstrations(
         )
     if _digest(given.transitions._asdict()) != shown["digest"]:
         raise ValueError(
-            f"{len(given)} trajectories of {shown['dataset'] or 'the shipped experts'} are not "
-            f"those that {folder} began with: bring them back, or start a new run"
+            f"{len(given)} trajectories {whose} are not those that {folder} began with: bring them "
+            "back, or start a new run"
         )
     return given
 
@@ -481,10 +479,17 @@ def _publish(
         for name, kind in (("policy", Policy), ("reward", Reward)):
             path = folder / f"{name}.safetensors"
             parts = [place / path.name for place in homes]
+            found = [kind.load(part) if part.is_file() else None for part in parts]
+            known = next((part for part in found if part is not None), None)
             if not ended:
                 path.unlink(missing_ok=True)
-            elif all(part.is_file() for part in parts):
-                write_whole(path, _together(list(map(kind.load, parts))).save)
+            elif known is not None:
+                # Zeros for those who diverged before they had any.
+                whole = [
+                    _zeros(known, len(shard)) if part is None else part
+                    for part, shard in zip(found, plan.shards, strict=True)
+                ]
+                write_whole(path, _together(whole).save)
         about["state"] = _summary(states)
         about["wall_s"] = round(sum(status["wall_s"] for status in shards), 1)
         write_json(folder / "run.json", about)
@@ -517,6 +522,16 @@ def _summary(states: list[str]) -> str:
             if state.startswith(kind):
                 return state
     return "stopped: every member has diverged"
+
+
+def _zeros(like: Policy | Reward, count: int) -> Policy | Reward:
+    """Return members of the same kind that were given up, as they are kept elsewhere."""
+    obs_dim = like.normaliser.mean.shape[-1]
+    return replace(
+        like,
+        params=torch.zeros(count, like.params.shape[-1]),
+        normaliser=Normaliser.identity(count, obs_dim),
+    )
 
 
 def _together(parts: list) -> Any:
@@ -722,7 +737,11 @@ def home(folder: Path, shard: tuple[int, ...]) -> Path:
 
 
 def _name(shard: tuple[int, ...]) -> str:
-    return "-".join(map(str, shard))
+    """Return the seeds; of many the first, the last and a digest, for a name has its limits."""
+    seeds = "-".join(map(str, shard))
+    if len(seeds) <= 100:
+        return seeds
+    return f"{shard[0]}-to-{shard[-1]}-{hashlib.sha256(seeds.encode()).hexdigest()[:8]}"
 
 
 def _status(folder: Path, shard: tuple[int, ...]) -> dict[str, Any]:

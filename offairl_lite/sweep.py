@@ -5,7 +5,7 @@ import itertools
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -14,10 +14,84 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations, jobs, runs
 from offairl_lite.config import Config, differences
-from offairl_lite.execution import fitting, is_large
+from offairl_lite.execution import Execution, fitting, is_large
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.records import Plan
 from offairl_lite.scale import Scale
+
+
+@dataclass(frozen=True)
+class Given:
+    """What new runs are given beside their configuration: options that `run` and `sweep` share."""
+
+    dataset: str | None = None
+    """A Minari data set to imitate; by default the shipped experts'."""
+
+    trajectories: int = 50
+    """How many of its episodes to use."""
+
+    subsample: int = 1
+    """Of each, only every so many-th transition."""
+
+    experts: int | None = None
+    """Of how many of the shipped experts they are, from the first on. None: of all."""
+
+    frozen: tuple[Path, ...] = ()
+    """An earlier run, or its reward.safetensors, where the reward is frozen; of several, one
+    population after the other."""
+
+    carried: tuple[Path, ...] = ()
+    """An earlier run, or its policy.safetensors, where `carry` is not nothing."""
+
+    guide: tuple[Path, ...] = ()
+    """Policies that act at the start of episodes, where there are `start_steps`."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where networks live."""
+
+    threads: int = 1
+    """Of PyTorch and of the physics, in each process; small networks are fastest with one."""
+
+    compile: Literal["auto", "yes", "no"] = "auto"
+    """Whether updates are compiled; auto: long runs of large networks."""
+
+    @property
+    def files(self) -> dict[str, tuple[Path, ...]]:
+        """Of other runs, by the names that `runs.inherit` has for them."""
+        return {"frozen": self.frozen, "carried": self.carried, "guide": self.guide}
+
+    def require_use(self, configs: Sequence[Config], experts: int | None) -> None:
+        """Refuse what no configuration makes use of.
+
+        Args:
+            configs: of the new runs.
+            experts: what `experts` is by default.
+
+        Raises:
+            ValueError: something would not be used.
+        """
+        runs.require_use(configs, **self.files)
+        why = None
+        if not any(config.learns_reward for config in configs):
+            names, why = ("dataset", "trajectories", "subsample"), "no reward is learned"
+        elif self.dataset is not None:
+            names, why = (), f"{self.dataset} is by none of the shipped ones"
+        if why is None:
+            return
+        wanted = {name: getattr(Given, name) for name in names} | {"experts": experts}
+        for name, default in wanted.items():
+            if (value := getattr(self, name)) != default:
+                raise ValueError(f"--{name} {value} would not be used, since {why}: leave it out")
+
+    def demonstrations(self, env_id: str) -> demonstrations.Demonstrations:
+        """Return those of a task; raises what `demonstrations.load` does."""
+        return demonstrations.load(
+            env_id, self.trajectories, self.dataset, self.subsample, self.experts
+        )
+
+    def execution(self, config: Config) -> Execution:
+        """Return how a run is executed; raises what `execution.fitting` does."""
+        return fitting(config, self.device, self.threads, self.compile)
 
 
 def grid(config: Config, **values: Iterable[Any]) -> dict[str, Config]:
@@ -119,15 +193,7 @@ def subcommand(
         processes: int | None = None,
         engine: jobs.Engine = "processes",
         address: str | None = None,
-        dataset: str | None = None,
-        trajectories: int = 50,
-        subsample: int = 1,
-        experts: int | None = experiment.experts[size],
-        frozen: tuple[Path, ...] = (),
-        carried: tuple[Path, ...] = (),
-        guide: tuple[Path, ...] = (),
-        device: Literal["cpu", "cuda"] = "cpu",
-        compile: Literal["auto", "yes", "no"] = "auto",
+        given: Annotated[Given, OmitArgPrefixes] = Given(experts=experiment.experts[size]),
         config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
     ) -> None:
         """Run an experiment in many configurations, each in a folder of its own; or go on with it.
@@ -139,62 +205,49 @@ def subcommand(
                 combinations are run.
             only: of an experiment that is several runs, the names of some.
             seeds: of each run.
-            out: where the run folders are; by default runs/sweep-EXPERIMENT-SCALE.
+            out: where the run folders are; by default runs/EXPERIMENT-SCALE, with a grid
+                runs/sweep-EXPERIMENT-SCALE.
             prepare: make the run folders, and leave the work in them to others.
             processes: at most so many at a time; by default one on each core. They do a run each;
                 if there are fewer runs than that, those of large networks are shared.
             engine: processes on this machine, or on a Ray cluster.
             address: of the Ray cluster, auto on one of its nodes; by default a local one.
-            dataset: a Minari data set to imitate; by default the shipped experts'.
-            trajectories: how many of its episodes to use.
-            subsample: of each, only every so many-th transition.
-            experts: of how many of the shipped experts they are, from the first on; None: of all.
-            frozen: an earlier run, or its reward.safetensors, where the reward is frozen; of
-                several, one population after the other.
-            carried: an earlier run, or its policy.safetensors, where `carry` is not nothing.
-            guide: policies that act at the start of episodes, where there are `start_steps`.
-            device: where networks live.
-            compile: whether updates are compiled; auto: long runs of large networks.
+            given: what they are given beside their configuration.
             config: what all runs have in common.
         """
         require_defaults(experiment, scale, *defaults)
         points = _points(find(experiment), scale, config, grid, only)
         kind = "sweep-" if grid else ""
         folder = out or Path("runs") / f"{kind}{experiment}-{scale}"
-        data, sources = {}, {"frozen": frozen, "carried": carried, "guide": guide}
-        given = {
+        data, files = {}, given.files
+        about = {
             "seeds": seeds,
-            "dataset": dataset,
-            "trajectories": trajectories,
-            "subsample": subsample,
-            "experts": None if dataset else experts,
-            **{name: [*map(str, files)] for name, files in sources.items()},
+            "dataset": given.dataset,
+            "trajectories": given.trajectories,
+            "subsample": given.subsample,
+            "experts": None if given.dataset else given.experts,
+            **{name: [*map(str, paths)] for name, paths in files.items()},
         }
         fresh = {
-            name: point for name, point in points.items() if not _there(folder / name, point, given)
+            name: point for name, point in points.items() if not _there(folder / name, point, about)
         }
-        runs.require_use(points.values(), **sources)
-        inherited = {name: runs.inherit(point, seeds, **sources) for name, point in fresh.items()}
+        given.require_use([*points.values()], find(experiment).experts[scale])
+        inherited = {name: runs.inherit(point, seeds, **files) for name, point in fresh.items()}
         for point in fresh.values():
             if point.learns_reward and point.env_id not in data:
-                data[point.env_id] = demonstrations.load(
-                    point.env_id, trajectories, dataset, subsample, experts
-                )
+                data[point.env_id] = given.demonstrations(point.env_id)
         # Cores that runs leave idle share the members of large networks.
-        here = engine == "processes" and device == "cpu" and not prepare
+        here = engine == "processes" and given.device == "cpu" and not prepare
         each = max((processes or jobs.cores()) // len(points), 1) if here else 1
         for name, point in fresh.items():
             needed = create(
                 folder / name,
                 point,
                 seeds,
-                execution=fitting(point, device, compile=compile),
+                execution=given.execution(point),
                 demonstrations=data[point.env_id] if point.learns_reward else None,
-                dataset=dataset,
-                subsample=subsample,
-                experts=experts,
                 **inherited[name],
-                sources=sources,
+                sources=files,
                 experiment=experiment,
                 scale=scale,
                 shards=each if is_large(point) else 1,
@@ -209,7 +262,7 @@ def subcommand(
                 engine,
                 processes,
                 address=address,
-                gpus=float(device != "cpu"),
+                gpus=float(given.device != "cpu"),
                 command=command,
             )
         except KeyboardInterrupt:

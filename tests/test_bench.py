@@ -171,7 +171,7 @@ def test_a_missing_package_is_named_before_anything_is_measured(name, monkeypatc
     monkeypatch.setattr(bench, "two_processes", pytest.fail)
     with pytest.raises(SystemExit) as stop:
         cli.main(["bench", "--against", name])
-    expected = f"offairl: {package} is not installed: pip install 'offairl-lite[bench]'"
+    expected = f"offairl: {package} is not installed: pip install -e '.[bench]', in a clone"
     assert stop.value.code == expected
 
 
@@ -201,7 +201,7 @@ def test_options_that_make_no_sense_are_refused(line, message, capsys):
 def test_the_others_take_turns_with_us():
     for package, module in bench.OTHERS.values():
         if bench.find_spec(module) is None:
-            pytest.skip(f"{package} is not installed: pip install 'offairl-lite[bench]'")
+            pytest.skip(f"{package} is not installed: pip install -e '.[bench]'")
     line = "--rounds 1 --seconds 0.02 --populations 1 --hidden 256 256 --against sb3 sbx --json"
     report = json.loads(in_a_process_of_its_own(line))
     learners = [(row["name"], row["hidden"], row["batch_size"]) for row in report["steps"]]

@@ -234,7 +234,7 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
         ),
         ("run maze-transfer --frozen no.safetensors", "no reward at no.safetensors"),
         (
-            f"run --out maze-imitation maze-expert {SMALL}",
+            f"run --centre-reward maze-expert {SMALL}",
             "the defaults are those of maze-imitation at demo scale: name the experiment before",
         ),
         ("run maze-imitation --env-id Nowhere-v0", "no expert is shipped for Nowhere-v0"),
@@ -379,6 +379,11 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
         for name in ("Arm-v0", "Heavy-v0"):
             gymnasium.registry.pop(name, None)
         sys.modules.pop("arm", None)
+
+
+def test_a_folder_may_have_the_name_of_an_experiment(elsewhere):
+    offairl(f"run --seeds 0 --out imitate --reward environment {SMALL}")
+    assert Plan.read(elsewhere / "imitate").experiment == "maze-imitation"
 
 
 def test_processes_share_the_members(capsys, elsewhere):

@@ -491,6 +491,14 @@ def test_the_shipped_demonstrations_are_much_the_same_on_this_machine(path, mina
     assert len(wanted["mean_returns"]) == len(wanted["demonstrations"]) == len(policy)
     standard_error = returns.std() / np.sqrt(len(returns))
     assert abs(returns.mean() - np.mean(wanted["mean_returns"])) < 5 * standard_error
+    assert len(wanted["demonstrated"]) == len(policy)
+
+
+def test_what_experts_demonstrate_is_noted_for_so_many_of_them(minari_folder):
+    """Within 1 %, since another machine rounds differently."""
+    wanted = json.loads(demonstrations.expert_file(MAZE).with_suffix(".json").read_text())
+    for n, mean in enumerate(wanted["demonstrated"], 1):
+        np.testing.assert_allclose(load(MAZE, experts=n).returns.mean(), mean, rtol=0.01)
 
 
 def numbered(lengths, terminated):

@@ -396,6 +396,16 @@ def test_a_frozen_reward_stays_and_comes_back_from_a_file(tmp_path):
     torch.testing.assert_close(loaded.member(1)(obs[1:], action[1:]), before[1:])
 
 
+def test_a_reward_takes_the_observations_of_the_task():
+    """One that was learned with absorbing states, which here are told by the last number."""
+    frozen = make(CONFIGS["r(s, a)"], dtype=torch.float32).frozen
+    batch, *_ = data(dtype=torch.float32)
+    obs = batch.obs.index_fill(-1, torch.tensor([batch.obs.shape[-1] - 1]), 0)
+    assert torch.equal(frozen(obs[..., :-1], batch.action), frozen(obs, batch.action))
+    with pytest.raises(ValueError, match=r"the reward of .* sees . numbers, and the task gives"):
+        frozen(obs[..., :-2], batch.action)
+
+
 # Spectral normalisation, and the bottleneck.
 
 

@@ -13,7 +13,7 @@ from offairl_lite import absorbing, imitate
 from offairl_lite.config import RELEASE
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.discriminators import Discriminator, Reward
-from offairl_lite.evaluate import rollout
+from offairl_lite.evaluate import NotFiniteError, rollout
 from offairl_lite.execution import Execution
 from offairl_lite.imitate import Trainer, complete, train
 from offairl_lite.networks import Normaliser, StackedMLP
@@ -728,6 +728,28 @@ def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny
         assert "its observation or reward is not finite; mend Faulty-v0" in why
     assert len(result.rows) == 2 * (6 - len(result.diverged))
     assert all(np.isfinite(row.metrics["critic_loss"]) for row in result.rows)
+
+
+def test_what_an_evaluation_cannot_count_costs_one_member(tiny, monkeypatch):
+    def broken(policy, env_id, seeds, *given, **more):
+        if 5 in seeds:
+            raise NotFiniteError(env_id, [seeds.index(5)])
+        return rollout(policy, env_id, seeds, *given, **more)
+
+    monkeypatch.setattr("offairl_lite.imitate.rollout", broken)
+    with pytest.warns(UserWarning, match=r"seed 5 diverged by step .*mend offairl/PointMazeLeft"):
+        result = run(replace(tiny, reward="environment"), (3, 5, 7))
+    assert list(result.diverged) == [5]
+    assert {row.seed for row in result.rows} == {3, 7}
+    monkeypatch.undo()
+    whole = run(replace(tiny, reward="environment"), (3, 5, 7))
+    assert [row.returns for row in result.rows] == [r.returns for r in whole.rows if r.seed != 5]
+
+
+def test_where_nothing_was_trained_it_is_said(tiny):
+    config = replace(tiny, reward="environment", total_steps=90, warmup_steps=50, update_every=None)
+    with pytest.warns(UserWarning, match=r"nothing was trained: .* step 50, .* and step 90; raise"):
+        run(config, (3,))
 
 
 def test_environments_are_closed(faulty, tiny, monkeypatch):

@@ -299,5 +299,5 @@ def test_mistakes_are_named(wrong, message):
 def test_without_ray_it_is_said_how_to_get_it(prepare, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     todo, command = prepare(one="")
-    with pytest.raises(ValueError, match=r"Ray is not installed: pip install 'offairl-lite\[ray\]"):
+    with pytest.raises(ValueError, match=r"Ray is not installed: pip install -e '\.\[ray\]"):
         execute(todo, "ray", command=command)

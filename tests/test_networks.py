@@ -197,6 +197,12 @@ def test_a_coordinate_that_hardly_varies_is_only_centred():
     torch.testing.assert_close(normaliser(obs)[..., 0], obs[..., 0] - obs[..., 0].mean())
 
 
+def test_small_units_are_scaled_like_any_other():
+    obs = Streams((0,)).normal(100, 2)
+    scaled, small = Normaliser.of(obs), Normaliser.of(1e-4 * obs)
+    torch.testing.assert_close(small(1e-4 * obs), scaled(obs))
+
+
 def test_members_are_normalised_by_their_own_statistics():
     obs = Streams(range(S)).normal(50, 2) * torch.arange(1.0, S + 1).view(S, 1, 1)
     for i in range(S):

@@ -17,7 +17,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from offairl_lite import disk, networks, provenance, records, runs
+from offairl_lite import disk, jobs, networks, provenance, records, runs
 from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.discriminators import Reward
 from offairl_lite.imitate import Trainer
@@ -363,7 +363,7 @@ def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
     for seeds in ((8, 8), ()):
         with pytest.raises(ValueError, match=r"not all new"):
             runs.add_seeds(folder, seeds)
-    with pytest.raises(ValueError, match="non-negative"):
+    with pytest.raises(ValueError, match="expected none below 0"):
         runs.add_seeds(folder, (-1,))
     assert files(folder) == before
 
@@ -566,13 +566,15 @@ def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
 
 def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonstrations):
     runs.create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
-    with pytest.raises(ValueError, match="3 trajectories of the shipped experts are not those"):
+    with pytest.raises(ValueError, match="3 trajectories from elsewhere are not those"):
         runs.work(folder, demonstrations=random_demonstrations(MAZE, 3))
+    with pytest.raises(ValueError, match=r"has not made: give the same to `runs.work` again"):
+        runs.work(folder)
 
 
 def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
     shown = load(MAZE, 2, experts=1)
-    runs.create(folder, tiny, SEEDS, demonstrations=shown, experts=1)
+    runs.create(folder, tiny, SEEDS, demonstrations=shown)
     resume(folder)
     assert records.read(folder).steps[-1] == tiny.total_steps
 
@@ -580,8 +582,8 @@ def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipp
 def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset):
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
-    thin = load(config.env_id, 2, name, subsample=20)
-    runs.create(folder, config, SEEDS, demonstrations=thin, dataset=name, subsample=20, experts=1)
+    thin = load(config.env_id, 2, name, subsample=20, experts=1)
+    runs.create(folder, config, SEEDS, demonstrations=thin)
     assert records.Plan.read(folder).demonstrations["experts"] is None  # They are by none of ours.
     resume(folder)
     assert records.read(folder).steps[-1] == config.total_steps
@@ -591,7 +593,7 @@ def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_datase
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
     whole = load(config.env_id, 2, name)
-    runs.create(folder, config, SEEDS, demonstrations=whole, dataset=name)
+    runs.create(folder, config, SEEDS, demonstrations=whole)
     about = json.loads((folder / "config.json").read_text())
     assert about["demonstrations"].pop("subsample") == 1
     (folder / "config.json").write_text(json.dumps(about))
@@ -681,6 +683,35 @@ def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch)
         resume(folder)
     assert manifest(folder)["state"] == "stopped: every member has diverged"
     assert list(records.read(str(folder)).diverged) == list(SEEDS)
+
+
+@pytest.mark.filterwarnings("ignore:seed . diverged")
+def test_who_diverges_before_there_is_a_policy_has_one_of_zeros(folder, plain, monkeypatch):
+    step = Trainer._step
+
+    def first_is_lost(self):
+        if 3 in self.seeds:
+            self._give_up("eye", torch.ones(1) > 0, "look")
+        return step(self)
+
+    monkeypatch.setattr(Trainer, "_step", first_is_lost)
+    runs.create(folder, plain, SEEDS, shards=2)
+    resume(folder)
+    kept = records.read(folder).policy
+    assert len(kept) == 2
+    assert (kept.params[0] == 0).all()
+    assert not (kept.params[1] == 0).all()
+
+
+def test_many_seeds_make_a_name_that_a_disk_takes(folder, plain):
+    seeds = tuple(range(10**9, 10**9 + 30))
+    assert runs.home(folder, SEEDS).name == "3-7"
+    name = runs.home(folder, seeds).name
+    assert len(name) < 40
+    assert name != runs.home(folder, (seeds[0], *seeds[1:-1][::-1], seeds[-1])).name
+    runs.create(folder, plain, seeds)
+    (job,) = jobs.of(folder)
+    assert job.shard == runs.home(folder, seeds)
 
 
 @pytest.mark.parametrize("what", ["frozen", "carried", "guide"])

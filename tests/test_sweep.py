@@ -285,11 +285,25 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
         )
     )
     assert given["reward=dac"]["demonstrations"].lengths == (5, 5)
-    assert given["reward=dac"]["subsample"] == 20
+    assert given["reward=dac"]["demonstrations"].source["subsample"] == 20
     assert given["reward=environment"]["demonstrations"] is None
     with pytest.raises(ValueError, match=r"a reward of another run is needed: give --fro"):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--reward environment --dataset my/own-v0", "--dataset my/own-v0 .* no reward is learned"),
+        ("--reward environment --subsample 7", "--subsample 7 would not be used, since no reward"),
+        ("--reward environment --experts 1", "--experts 1 would not be used, since no reward"),
+        ("--dataset my/own-v0 --experts 1", "--experts 1 would .* since my/own-v0 is by none"),
+    ],
+)
+def test_demonstrations_that_would_not_be_used_are_refused(options, message, offairl):
+    with pytest.raises(ValueError, match=message):
+        offairl(f"maze-imitation --grid temperature=0.1 {SMALL} {options}", "maze-imitation")
 
 
 @pytest.mark.parametrize("axis", ["temperature", "=1", "temperature=0.1 --grid temperature=0.2"])

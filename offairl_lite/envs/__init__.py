@@ -19,10 +19,9 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RescaleAction
 
 from offairl_lite.envs.batched import BatchedEnv
-from offairl_lite.envs.serial import SerialEnv
+from offairl_lite.envs.serial import BoundedAction, SerialEnv
 from offairl_lite.envs.tasks import TASKS
 
 __all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "make", "require_boxes", "spec"]
@@ -179,7 +178,7 @@ def make(
     actions = env.single_action_space
     ones = np.ones_like(actions.high)
     if not (np.array_equal(actions.low, -ones) and np.array_equal(actions.high, ones)):
-        env = RescaleAction(env, -ones, ones)
+        env = BoundedAction(env, -ones, ones)
     return SerialEnv(env, seeds)
 
 

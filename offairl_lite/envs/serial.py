@@ -18,6 +18,15 @@ from offairl_lite.envs.batched import (
 )
 
 
+class BoundedAction(RescaleAction):
+    """Gymnasium's `RescaleAction`, whose rounding never leaves the bounds of the task."""
+
+    def actions(self, actions: np.ndarray) -> np.ndarray:
+        """Return what the members are given."""
+        space = self.env.action_space
+        return np.clip(super().actions(actions), space.low, space.high)
+
+
 class SerialEnv(VectorWrapper):
     """Gymnasium's `SyncVectorEnv` with what `BatchedEnv` offers: seeds, and a state to save.
 
@@ -26,14 +35,14 @@ class SerialEnv(VectorWrapper):
     the episode again. Actions are converted to the type of the action space.
 
     Args:
-        env: a new `SyncVectorEnv` in mode `DISABLED`, or a `RescaleAction` around one.
+        env: a new `SyncVectorEnv` in mode `DISABLED`, or a `BoundedAction` around one.
         seeds: a seed per member, for its first reset.
     """
 
     def __init__(self, env: VectorEnv, seeds: Sequence[int]):
         super().__init__(env)
         self._members = env.unwrapped.envs
-        self._rescaled = env.actions if isinstance(env, RescaleAction) else np.copy
+        self._rescaled = env.actions if isinstance(env, BoundedAction) else np.copy
         self._seeds = member_seeds(seeds, env.num_envs)
         self._starts = [seeding.np_random(seed)[0] for seed in self._seeds]
         self._observations = np.zeros_like(env.observation_space.low)

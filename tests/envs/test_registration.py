@@ -35,6 +35,20 @@ def doubler():
     del gymnasium.registry["Doubler-v0"]
 
 
+@pytest.mark.parametrize("high", [1.3, 0.7, 3.3, 9.1])
+def test_rounding_leaves_actions_within_their_bounds(high):
+    space = gymnasium.spaces.Box(-0.1, np.float32(high), (2,), np.float32)
+    gymnasium.register("Tight-v0", entry_point=Doubler, kwargs={"actions": space})
+    env = envs.make("Tight-v0", 1, 0)
+    del gymnasium.registry["Tight-v0"]
+    env.reset()
+    for unit in (-1, 1):
+        obs, *_ = env.step(np.full((1, 2), unit, np.float32))  # What the task was given.
+        assert space.contains(obs[0])
+        assert obs[0, 0] == pytest.approx(space.high[0] if unit > 0 else -0.1, abs=1e-6)
+        env.reset()
+
+
 @pytest.mark.parametrize("task", OURS)
 def test_gymnasium_checker(task):
     env = gymnasium.make(task)
