@@ -88,6 +88,10 @@ VARIED = {
         }
         for k in (4, 8)
     },
+    **{
+        f"locomotion-mcp-{k}-demo/HalfCheetah-airl-mixture": {"eval_every", "primitives"}
+        for k in (4, 8)
+    },
     # On-policy methods take longer.
     **{
         f"hopper-gail-demo/{name}": {"eval_every"}
