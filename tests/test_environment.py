@@ -1,11 +1,47 @@
 """The pinned environment, as a reader's machine sees it."""
 
-from importlib.metadata import distributions
+import subprocess
+import sys
+from importlib.metadata import distributions, packages_distributions, requires
 
+from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 OLDEST = "3.11.0"
 """What `requires-python` promises; Debian 12 has 3.11.2."""
+
+USE = """
+import importlib, pkgutil, sys
+hidden = set(sys.argv[1:])
+
+class Hide:
+    def find_spec(name, path, target=None):
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hide)
+import offairl_lite
+for module in pkgutil.walk_packages(offairl_lite.__path__, "offairl_lite."):
+    importlib.import_module(module.name)
+
+import gymnasium
+for env_id in ("HalfCheetah-v5", "Ant-v5", *(i for i in gymnasium.registry if "offairl/" in i)):
+    gymnasium.make(env_id).close()
+"""
+
+
+def wanted(name, extras=(), seen=None):
+    """Yield the names of all distributions that come with one, without its extras unless named."""
+    seen = set() if seen is None else seen
+    if (name := canonicalize_name(name), *extras) in seen:
+        return
+    seen.add((name, *extras))
+    yield name
+    for needed in map(Requirement, requires(name) or []):
+        at = [{"extra": extra} for extra in ("", *extras)]
+        if not needed.marker or any(map(needed.marker.evaluate, at)):
+            yield from wanted(needed.name, sorted(needed.extras), seen)
 
 
 def test_every_package_takes_the_oldest_python_that_is_promised():
@@ -13,3 +49,12 @@ def test_every_package_takes_the_oldest_python_that_is_promised():
     refused = {n: w for n, w in wants.items() if w and not SpecifierSet(w).contains(OLDEST)}
     assert refused == {}
     assert "offairl-lite" in wants
+
+
+def test_the_package_does_with_what_it_asks_for():
+    """Whatever else is here, for the book or from before, is hidden."""
+    there = set(wanted("offairl-lite"))
+    modules = packages_distributions()
+    hidden = {m for m, names in modules.items() if not there & set(map(canonicalize_name, names))}
+    assert {"jupyter_book", "pytest"} <= hidden
+    subprocess.run([sys.executable, "-W", "ignore", "-c", USE, *hidden], check=True)
