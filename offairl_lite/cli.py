@@ -1,8 +1,11 @@
 """The command line, `offairl`: one function for each of its commands."""
 
+import shutil
+import signal
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from json import dumps
@@ -170,10 +173,12 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
 
     Args:
         run: its folder.
-        out: the folder for the event files, a new one; by default RUN/tensorboard.
+        out: the folder for the event files, a new one; by default RUN/tensorboard, anew.
         follow: go on writing until the run has ended; one that was killed may be resumed.
     """
     folder = out or run / "tensorboard"
+    if out is None and folder.is_dir():
+        shutil.rmtree(folder)  # Written by this command, before the run went on.
     count = logs.export(run, folder, follow)
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
@@ -306,10 +311,15 @@ def resume(
         members: the seeds of the only shard to work on (a folder in RUN/members).
         processes: by default one for each shard that is not finished, up to the cores.
     """
-    if steps is not None:
-        runs.extend(folder, steps)
-    if seeds:
-        runs.add_seeds(folder, seeds)
+    if members and (steps is not None or seeds):
+        raise ValueError(
+            "--members works on one shard of a run as it is: resume first with --steps or --seeds, "
+            "and without --members"
+        )
+    if processes is not None and processes < 1:
+        raise ValueError(f"processes is {processes}; expected at least 1")
+    if steps is not None or seeds:
+        runs.extend(folder, steps, seeds)
     if members:
         return runs.work(folder, members, progress=sys.stderr.isatty())
     return _work(folder, processes or jobs.cores())
@@ -336,7 +346,24 @@ def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | No
         print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
     print(f"recorded in {folder}")
     if run.diverged:
-        raise FloatingPointError("; ".join(run.diverged.values()))
+        why = "; ".join(run.diverged.values())
+        raise FloatingPointError(
+            why if shards else f"{why}. It is not tried again: start a new run"
+        )
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have SIGTERM, by which schedulers end a job, do what Ctrl-C does."""
+
+    def interrupt(number: int, _: object) -> None:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -368,11 +395,14 @@ def main(args: Sequence[str] | None = None) -> None:
             "verify": verify,
             "bench": bench,
         }
-        tyro.extras.subcommand_cli_from_dict(
-            commands, prog="offairl", description=main.__doc__, args=args
-        )
+        with _terminable():
+            tyro.extras.subcommand_cli_from_dict(
+                commands, prog="offairl", description=main.__doc__, args=args
+            )
     except (ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error) as error:
         sys.exit(f"offairl: {error}")
+    except KeyboardInterrupt:
+        sys.exit("offairl: stopped")
 
 
 if __name__ == "__main__":

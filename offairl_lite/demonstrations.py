@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import minari
@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from filelock import FileLock
 from gymnasium.envs.registration import EnvSpec
+from jaxtyping import Float
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_dataset import parse_dataset_id
 from minari.storage import get_dataset_path
@@ -184,6 +185,7 @@ def load(
         raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
+        envs.spec(env_id)  # A task that is not known is refused as such.
         policy = expert(env_id)
         if experts is not None:
             if not 1 <= experts <= len(policy):
@@ -214,8 +216,8 @@ def load(
             raise FileNotFoundError(
                 f"Minari has no local data set {dataset_id!r}; here are: "
                 f"{', '.join(known) or 'no data set at all'}. "
-                "Download one with `minari download`, write one with "
-                "minari.create_dataset_from_buffers, or have `offairl demos --policy` make one"
+                "Download one with `minari download`, make one of recordings with "
+                "`demonstrations.write`, or have `offairl demos --policy` make one"
             )
     data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
     thin = data if subsample == 1 else data.subsample(every=subsample)
@@ -270,6 +272,111 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
     # All that can go wrong is found out now, and not after minutes of work.
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
+    _require_new(dataset_id)
+    space = _task(env_id).action_space
+    require_actions(policy, space)
+    first = made = _block(policy, env_id)
+    recordings = []
+    with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
+        for i in range(trajectories):
+            e, member = divmod(i, len(policy))
+            if i > 0 and member == e % BLOCK == 0:
+                made = _block(policy, env_id, e)
+            at = member, e % BLOCK
+            length = made.lengths[at]
+            obs, last = made.obs[at][:length], made.next_obs[at][length - 1 : length]
+            # In the task's own units; from -1 to 1 this changes nothing.
+            middle, half = (space.low + space.high) / 2, (space.high - space.low) / 2
+            recordings.append(
+                Recording(
+                    np.concatenate([obs, last]),
+                    np.clip(middle + half * made.action[at][:length], space.low, space.high),
+                    bool(made.terminated[at]),
+                    made.reward[at][:length],
+                )
+            )
+            bar.update()
+    by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
+    write(recordings, env_id, dataset_id, algorithm=type(policy.actor).__name__, description=by)
+    return first
+
+
+class Recording(NamedTuple):
+    """An episode of T steps, as it was recorded.
+
+    `terminated` says whether the task had ended for good; otherwise the recording was cut. Rewards
+    are for `Demonstrations.returns` alone, and need not be known.
+    """
+
+    obs: Float[np.ndarray, "T+1 O"]
+    action: Float[np.ndarray, "T A"]
+    terminated: bool = False
+    reward: Float[np.ndarray, "T"] | None = None
+
+
+def write(
+    recordings: Sequence[Recording],
+    env_id: str,
+    dataset_id: str,
+    *,
+    algorithm: str = "unknown",
+    description: str | None = None,
+) -> None:
+    """Write a Minari data set of episodes from anywhere.
+
+    Args:
+        recordings: the episodes, with actions in the task's own units.
+        env_id: the task.
+        dataset_id: a new name, such as `own/recorded-v0`.
+        algorithm: by which they were made, for the data set.
+        description: of them, for the data set.
+
+    Raises:
+        FileExistsError: there is a data set of this name; nothing is overwritten.
+        ModuleNotFoundError: the task's id names a module that is not there.
+        OSError: Minari's local storage cannot be written to.
+        ValueError: a recording does not fit the task, the name is none, the task is not known, or
+            its spaces are not what `envs.require_boxes` expects; nothing is written.
+    """
+    _require_new(dataset_id)
+    if not recordings:
+        raise ValueError("there are no recordings; expected at least one")
+    env = _task(env_id)
+    buffer = []
+    for i, (obs, action, terminated, reward) in enumerate(recordings):
+        steps = len(action)
+        last = np.arange(steps) == steps - 1
+        episode = EpisodeBuffer(
+            id=i,
+            observations=np.asarray(obs, env.observation_space.dtype),
+            actions=np.asarray(action, env.action_space.dtype),
+            rewards=np.zeros(steps) if reward is None else np.asarray(reward),
+            terminations=last & terminated,
+            truncations=last & (not terminated),
+        )
+        where = f"recording {i}, for the task {env_id}"
+        _check(episode, where, env.observation_space, env.action_space)
+        buffer.append(episode)
+    # Minari keeps it, so that the data set can be told from those of other tasks.
+    env.unwrapped.spec = _storable(envs.spec(env_id))
+    with warnings.catch_warnings():
+        # Minari would like to know whom to write to about a data set; this one stays here.
+        warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
+        warnings.filterwarnings("ignore", "`description` is set to None")
+        minari.create_dataset_from_buffers(
+            dataset_id,
+            buffer,
+            env=env.unwrapped,
+            eval_env=env.unwrapped,
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            algorithm_name=algorithm,
+            description=description,
+        )
+
+
+def _require_new(dataset_id: str) -> None:
+    """Raise FileExistsError, OSError or ValueError unless a data set can get this name."""
     try:
         parse_dataset_id(dataset_id)
     except (TypeError, ValueError) as error:  # The former without a version, -v0.
@@ -284,52 +391,6 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
             f"the data set {dataset_id} is there already, and is not overwritten: choose another "
             f"name, or remove {there}"
         )
-    env = _task(env_id)
-    low, high = env.action_space.low, env.action_space.high
-    require_actions(policy, env.action_space)
-    first = made = _block(policy, env_id)
-    buffer: list[EpisodeBuffer] = []
-    with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
-        for i in range(trajectories):
-            e, member = divmod(i, len(policy))
-            if i > 0 and member == e % BLOCK == 0:
-                made = _block(policy, env_id, e)
-            at = member, e % BLOCK
-            length = made.lengths[at]
-            ended = np.zeros(length, bool)
-            ended[-1] = made.terminated[at]
-            cut = np.zeros(length, bool)
-            cut[-1] = not ended[-1]
-            obs, last = made.obs[at][:length], made.next_obs[at][length - 1 : length]
-            # In the task's own units; from -1 to 1 this changes nothing.
-            actions = (low + high) / 2 + (high - low) / 2 * made.action[at][:length]
-            buffer.append(
-                EpisodeBuffer(
-                    id=i,
-                    observations=np.concatenate([obs, last]),
-                    actions=np.clip(actions, low, high),
-                    rewards=made.reward[at][:length].tolist(),
-                    terminations=ended.tolist(),
-                    truncations=cut.tolist(),
-                )
-            )
-            bar.update()
-    # Minari keeps it, so that the data set can be told from those of other tasks.
-    env.unwrapped.spec = _storable(envs.spec(env_id))
-    with warnings.catch_warnings():
-        # Minari would like to know whom to write to about a data set; this one stays here.
-        warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
-        minari.create_dataset_from_buffers(
-            dataset_id,
-            buffer,
-            env=env.unwrapped,
-            eval_env=env.unwrapped,
-            observation_space=env.observation_space,
-            action_space=env.action_space,
-            algorithm_name=type(policy.actor).__name__,
-            description=f"Episodes of {len(policy)} policies that were trained on {policy.env_id}.",
-        )
-    return first
 
 
 def _task(env_id: str) -> gymnasium.Env:
@@ -483,7 +544,7 @@ def from_minari(
 
 
 def _check(
-    episode: minari.EpisodeData,
+    episode: minari.EpisodeData | EpisodeBuffer,
     where: str,
     obs_space: gymnasium.spaces.Box,
     action_space: gymnasium.spaces.Box,

@@ -142,9 +142,11 @@ class Reward:
     def __call__(
         self, obs: Float[Tensor, "S B O"], action: Float[Tensor, "S B A"] | None = None
     ) -> Float[Tensor, "S B"]:
-        """Return r; `action` may be left out of a reward of the state alone.
+        """Return r of each member; `action` may be left out of a reward of the state alone.
 
-        Observations may be without the indicator of an absorbing state, as the task gives them.
+        Args:
+            obs: float32, as the task gives them; the indicator of an absorbing state may be there.
+            action: float32, scaled to [-1, 1].
 
         Raises:
             ValueError: it is left out of a reward of state and action, or the observations are of

@@ -216,7 +216,7 @@ class Trainer:
         self._start(np.ones(len(seeds), bool))
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
         self.diverged: dict[int, str] = {}
-        self.obs, _ = self.env.reset()
+        (self.obs,) = self._sound(self.env.reset()[0])
 
     @property
     def finished(self) -> bool:
@@ -272,11 +272,12 @@ class Trainer:
         sees = reward.normaliser.mean.shape[-1]
         if sees != self.obs_dim:
             # The absorbing state's indicator is one number.
-            cure = f"it is of another task, {reward.env_id}; give the reward of one like {env_id}"
+            other = f"it was learned on {reward.env_id}"
+            cure = f"{other}; give the reward of a task like {env_id}"
             if kind == "none" and sees == self.obs_dim + 1:
-                cure = "if it was learned with an absorbing state, set absorbing='bootstrap'"
+                cure = f"{other}; if that had an absorbing state, set absorbing='bootstrap'"
             elif kind != "none" and sees == self.env_obs_dim:
-                cure = "if it was learned without an absorbing state, set absorbing='none'"
+                cure = f"{other}; if that had no absorbing state, set absorbing='none'"
             raise ValueError(
                 f"the frozen reward sees {sees} numbers; with absorbing={kind!r}, {env_id} "
                 f"gives {self.obs_dim}: {cure}"
@@ -344,11 +345,7 @@ class Trainer:
             guided = (self.guided > 0).to(self.device).unsqueeze(1)
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
-        finite = np.isfinite(next_obs).all(1) & np.isfinite(reward)
-        if not finite.all():
-            cure = f"mend {self.config.env_id}"
-            self._give_up("observation or reward", torch.from_numpy(~finite), cure)
-            next_obs, reward = np.nan_to_num(next_obs), np.nan_to_num(reward)
+        next_obs, reward = self._sound(next_obs, reward)
         batch = Batch(
             _float(self.obs),
             pre_tanh.cpu(),
@@ -361,10 +358,20 @@ class Trainer:
         self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
         self._start(done)
-        self.obs = self.env.reset(options={"reset_mask": done})[0] if done.any() else next_obs
+        self.obs = next_obs
+        if done.any():
+            (self.obs,) = self._sound(self.env.reset(options={"reset_mask": done})[0])
         self.steps += 1
         self.episodes += torch.from_numpy(done)
         return done
+
+    def _sound(self, *given: np.ndarray) -> list[np.ndarray]:
+        """Return what the task gives, without NaN; whoever has any is given up."""
+        finite = np.all([np.isfinite(x).reshape(len(x), -1).all(1) for x in given], axis=0)
+        if not finite.all():
+            cure = f"mend {self.config.env_id}"
+            self._give_up("observation or reward", torch.from_numpy(~finite), cure)
+        return [np.nan_to_num(x) for x in given]
 
     def _seen(self, obs: np.ndarray) -> Float[Tensor, "S O"]:
         """Return observations as the networks see them, with the absorbing indicator if any."""

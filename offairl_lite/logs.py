@@ -67,9 +67,12 @@ def export(run: Path, folder: Path, follow: bool = False) -> int:
         How many evaluations there were.
 
     Raises:
+        FileExistsError: the folder has event files already.
         FileNotFoundError: there is no such run.
         ImportError: TensorBoard is not installed.
     """
+    if any(folder.glob("seed-*/events.*")):
+        raise FileExistsError(f"{folder} has event files already: choose a new folder, --out")
     records.Plan.read(run)  # It tells of a folder that is no run.
     write = TensorBoard(folder)
     while True:

@@ -14,6 +14,7 @@ import hashlib
 import json
 import logging
 import os
+import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -142,9 +143,9 @@ def create(
             for name, thing in inherited.items()
         },
     )
-    there = folder.absolute()
+    there = folder.resolve()
     needed = disk.use(plan)
-    disk.require_room(next(path for path in there.parents if path.exists()), needed, plan)
+    disk.require_room(next(p for p in (there, *there.parents) if p.exists()), needed, plan)
     there.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{there.name}.", dir=there.parent) as hidden:
         made = Path(hidden) / "run"
@@ -155,7 +156,12 @@ def create(
         write_json(made / "run.json", about)
         for name, thing in inherited.items():
             thing.save(made / f"{name}.safetensors")
-        os.replace(made, there)
+        if there != Path.cwd() and not there.is_mount():
+            os.replace(made, there)
+        else:
+            # These cannot be replaced. A folder is a run once it has its configuration.
+            for part in sorted(made.iterdir(), key=lambda part: part.name == "config.json"):
+                shutil.move(part, there)
     return disk.words(needed)
 
 
@@ -308,39 +314,50 @@ def unfinished(
     return left
 
 
-def extend(folder: str | PathLike, steps: int) -> None:
-    """Have a run go on to another number of steps, the next time it is worked on.
+def extend(folder: str | PathLike, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
+    """Have a run go on to another number of steps, or with further members.
+
+    All is done or nothing. What is new starts the next time the run is worked on; until its end
+    there is no policy and no reward of the whole run.
+
+    Args:
+        folder: of the run.
+        steps: environment steps of each member, in all.
+        seeds: of new members, a shard of their own.
 
     Raises:
-        ValueError: the run has gone further already.
+        ValueError: the run has gone further already; a seed is there already, or the run builds
+            upon members of another.
         OSError: a process is at work on it, or the disk has no room.
     """
+    if steps is None and not seeds:
+        raise ValueError(f"to extend {folder} give it steps, or seeds of new members")
     folder = Path(folder)
     with _alone(folder) as plan:
-        reached = _reached(folder, plan, plan.shards)
-        if steps < reached:
-            raise ValueError(f"{folder} has reached step {reached}; it cannot end at {steps}")
-        _change(folder, replace(plan, config=replace(plan.config, total_steps=steps)))
+        new = plan
+        if steps is not None:
+            reached = _reached(folder, plan, plan.shards)
+            if steps < reached:
+                raise ValueError(f"{folder} has reached step {reached}; it cannot end at {steps}")
+            new = replace(new, config=replace(plan.config, total_steps=steps))
+        if seeds:
+            _require_new(folder, plan, seeds)
+            new = replace(new, shards=(*plan.shards, tuple(seeds)))
+        disk.require_room(folder, disk.missing(folder, new), new)
+        new.write(folder)
+        _publish(folder)
 
 
-def add_seeds(folder: str | PathLike, seeds: Sequence[int]) -> None:
-    """Add members to a run, a shard of their own that starts the next time it is worked on.
-
-    Raises:
-        ValueError: a seed is there already, or the run builds upon members of another.
-        OSError: a process is at work on it, or the disk has no room.
-    """
-    folder = Path(folder)
-    with _alone(folder) as plan:
-        if inherited := _inherited(folder, plan, plan.seeds):
-            raise ValueError(
-                f"{folder} has of another run the {' and the '.join(inherited)}, of "
-                f"{len(plan.seeds)} members and none for further seeds: start a run of its own"
-            )
-        Streams(seeds)  # It refuses what cannot be a seed.
-        if not seeds or len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
-            raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(plan.seeds)}")
-        _change(folder, replace(plan, shards=(*plan.shards, tuple(seeds))))
+def _require_new(folder: Path, plan: Plan, seeds: Sequence[int]) -> None:
+    """Raise ValueError unless a run can have further members of these seeds."""
+    if inherited := _inherited(folder, plan, plan.seeds):
+        raise ValueError(
+            f"{folder} has of another run the {' and the '.join(inherited)}, of "
+            f"{len(plan.seeds)} members and none for further seeds: start a run of its own"
+        )
+    Streams(seeds)  # It refuses what cannot be a seed.
+    if len({*plan.seeds, *seeds}) < len(plan.seeds) + len(seeds):
+        raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(plan.seeds)}")
 
 
 class _Worker:
@@ -671,6 +688,15 @@ def inherit(
         ValueError: a file is needed that is not given, or it holds something else.
     """
     files, given = {"reward": frozen, "policy": carried, "guide": guide}, {}
+
+    def file(path: Path, own: str) -> Path:
+        if path.is_dir() and not (path / own).is_file():
+            raise FileNotFoundError(
+                f"{path} has no {own}, which is written at the end of a run: `offairl resume "
+                f"{path}` goes on to it"
+            )
+        return path / own if path.is_dir() else path
+
     for name, kind in _heritable(config).items():
         if not files[name]:
             raise ValueError(
@@ -678,7 +704,7 @@ def inherit(
                 f"RUN/{kind.__name__.lower()}.safetensors, or RUN"
             )
         own = f"{kind.__name__.lower()}.safetensors"
-        given[name] = _together([kind.load(f / own if f.is_dir() else f) for f in files[name]])
+        given[name] = _together([kind.load(file(f, own)) for f in files[name]])
     if "guide" in given:
         guides = given["guide"]
         given["guide"] = guides.member(*(i % len(guides) for i in range(len(seeds))))
@@ -770,10 +796,3 @@ def _alone(folder: Path) -> Iterator[Plan]:
             home(folder, shard).mkdir(exist_ok=True)
             locks.enter_context(_lock(home(folder, shard) / "lock"))
         yield Plan.read(folder)
-
-
-def _change(folder: Path, plan: Plan) -> None:
-    """Replace a run's plan, if the disk has room for the new one."""
-    disk.require_room(folder, disk.missing(folder, plan), plan)
-    plan.write(folder)
-    _publish(folder)

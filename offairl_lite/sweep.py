@@ -269,6 +269,12 @@ def subcommand(
             print("\nstopped; the same command goes on from the checkpoints", file=sys.stderr)
             sys.exit(130)
         print(_table(folder, points))
+        lost = [name for name in points if "every member" in _about(folder / name)["state"]]
+        if lost:
+            raise FloatingPointError(
+                f"every member of {', '.join(lost)} has diverged, as run.json says; they are not "
+                "tried again"
+            )
         if failures:
             print(*failures, sep="\n\n", file=sys.stderr)
             raise ChildProcessError(
@@ -349,8 +355,12 @@ def _table(folder: Path, points: Iterable[str]) -> str:
         returns = [float(row["mean_return"]) for row in last]
         numbers = (sum(returns) / len(returns), min(returns), max(returns)) if returns else ()
         shown = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
-        shards = json.loads((folder / name / "run.json").read_text()).get("shards", {})
+        shards = _about(folder / name).get("shards", {})
         lost = [seed for shard in shards.values() for seed in shard["diverged"]]
         note = f" (diverged: {' '.join(lost)})" if lost else ""
         lines.append(f"{step:9,} {shown}  {name}{note}")
     return "\n".join(lines)
+
+
+def _about(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "run.json").read_text())

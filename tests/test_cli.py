@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import signal
 import subprocess
@@ -308,6 +309,32 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
     assert "reached step 300; it cannot end at 200" in failure("resume mine --steps 200", capsys)
 
 
+def test_a_scheduler_may_stop_a_run(capsys, elsewhere, monkeypatch):
+    advance = Trainer.advance
+
+    def stop(self):
+        if self.steps == 150:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return advance(self)
+
+    monkeypatch.setattr(Trainer, "advance", stop)
+    before = signal.getsignal(signal.SIGTERM)
+    line = f"run maze-expert --out mine {SMALL}"
+    assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: SIGTERM"
+    line = "resume mine --members 0 1"
+    assert failure(line, capsys) == "offairl: stopped"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_cannot_be_extended_is_left_as_it_was(capsys, elsewhere):
+    offairl(f"run maze-expert --out mine {SMALL}")
+    before = {path: path.read_bytes() for path in Path("mine").rglob("*") if path.is_file()}
+    for line in ("--steps 300 --seeds 1", "--steps 300 --members 0 1", "--processes 0"):
+        assert failure(f"resume mine {line}", capsys).startswith("offairl: ")
+    assert {path: path.read_bytes() for path in before} == before
+
+
 def manifest(folder):
     return json.loads((folder / "run.json").read_text())
 
@@ -325,7 +352,8 @@ def test_a_member_that_diverges_is_told_of(capsys, elsewhere, monkeypatch):
         message = failure(f"run maze-expert --out one {SMALL}", capsys)
     assert message.startswith("offairl: seed 1 diverged by step 200: its ")
     assert "recorded in one" in capsys.readouterr().out
-    assert failure("resume one", capsys) == message
+    again = f"{message}. It is not tried again: start a new run"
+    assert failure("resume one", capsys) == again
     assert [(row.seed, row.step) for row in read(elsewhere / "one").rows] == [
         (0, 100),
         (1, 100),

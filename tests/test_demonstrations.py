@@ -178,6 +178,36 @@ def test_a_data_set_that_names_no_task_is_taken_in_silence(own, minari_folder, c
     assert not caplog.records
 
 
+def test_recordings_become_a_data_set(own, minari_folder):
+    arm = own("ownbot/Arm-v0")
+    rng = np.random.default_rng(0)
+    low, high = (gymnasium.make(arm).action_space.low, gymnasium.make(arm).action_space.high)
+    cut, fallen = (
+        demonstrations.Recording(rng.normal(size=(n + 1, 2)), rng.uniform(low, high, (n, 2)), ends)
+        for n, ends in ((5, False), (3, True))
+    )
+    paid = fallen._replace(reward=np.arange(3.0))
+    demonstrations.write([cut, paid], arm, "own/recorded-v0")
+    data = load(arm, 2, "own/recorded-v0")
+    assert data.lengths == (5, 3)
+    assert data.returns.tolist() == [0, 3]
+    assert data.transitions.terminated.tolist() == [0] * 7 + [1]
+    np.testing.assert_allclose(data.transitions.obs[5:], fallen.obs[:-1], rtol=1e-6)
+    scaled = 2 * (cut.action - low) / (high - low) - 1
+    np.testing.assert_allclose(data.transitions.action[:5], scaled, atol=1e-5)
+    for wrong, message in (
+        (cut._replace(obs=cut.obs[:-1]), r"recording 0, .*expected observations of shape \(6, 2\)"),
+        (cut._replace(action=cut.action + 9), "recording 0, .*expected actions in"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            demonstrations.write([wrong], arm, "own/wrong-v0")
+    with pytest.raises(ValueError, match="there are no recordings"):
+        demonstrations.write([], arm, "own/wrong-v0")
+    with pytest.raises(FileExistsError, match="own/recorded-v0 is there already"):
+        demonstrations.write([cut], arm, "own/recorded-v0")
+    assert not (minari_folder / "own/wrong-v0").exists()
+
+
 @pytest.mark.parametrize(
     ("spaces", "message"),
     [

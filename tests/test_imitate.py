@@ -717,6 +717,21 @@ def faulty():
     gymnasium.registry.pop("Faulty-v0")
 
 
+def test_a_first_observation_that_is_no_number_costs_one_member_too(faulty, tiny, monkeypatch):
+    def reset(self, *, seed=None, options=None):
+        gymnasium.Env.reset(self, seed=seed)
+        self.ill = self.ill if seed is None else self.np_random.integers(2) == 1
+        self.fails = False
+        return np.full(3, np.nan if seed is None and self.ill else 0, np.float32), {}
+
+    monkeypatch.setattr(Faulty, "reset", reset)
+    config = replace(tiny, env_id=faulty, reward="environment", update_every=20)
+    with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
+        result = run(config, range(6))
+    assert 0 < len(result.diverged) < 6
+    assert all("mend Faulty-v0" in why for why in result.diverged.values())
+
+
 @pytest.mark.parametrize("warmup_steps", [20, 100])
 def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny, warmup_steps):
     changes = {"env_id": faulty, "reward": "environment", "update_every": 20}

@@ -318,7 +318,7 @@ def test_seeds_are_added_beside_those_there(plain, tmp_path):
     first = run(tmp_path / "first", plain)
     folder = shutil.copytree(first, tmp_path / "extended")
     before = files(folder / "members" / "3-7")
-    runs.add_seeds(folder, (5, 6))
+    runs.extend(folder, seeds=(5, 6))
     assert records.read(folder).policy is None
     resume(folder)
     assert {path: path.read_bytes() for path in before} == before
@@ -359,12 +359,13 @@ def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
     with pytest.raises(ValueError, match="reached step 80; it cannot end at 70"):
         runs.extend(folder, 70)
     with pytest.raises(ValueError, match=r"seeds \[7\] are not all new: there are \[3, 7\]"):
-        runs.add_seeds(folder, (7,))
-    for seeds in ((8, 8), ()):
-        with pytest.raises(ValueError, match=r"not all new"):
-            runs.add_seeds(folder, seeds)
+        runs.extend(folder, seeds=(7,))
+    with pytest.raises(ValueError, match=r"not all new"):
+        runs.extend(folder, 200, (8, 8))  # Nor is it extended to 200 steps.
+    with pytest.raises(ValueError, match="give it steps, or seeds"):
+        runs.extend(folder)
     with pytest.raises(ValueError, match="expected none below 0"):
-        runs.add_seeds(folder, (-1,))
+        runs.extend(folder, seeds=(-1,))
     assert files(folder) == before
 
 
@@ -395,7 +396,7 @@ def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
     resume(folder)
     assert records.read(folder).policy is not None
     with pytest.raises(ValueError, match="of another run the policy and the guide, of 2 members"):
-        runs.add_seeds(folder, (8,))
+        runs.extend(folder, seeds=(8,))
     runs.extend(folder, 200)
     changed = replace(given["guide"], params=given["guide"].params + 1)
     changed.save(folder / "guide.safetensors")
@@ -424,7 +425,7 @@ def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
     resume(folder)
     assert torch.equal(records.read(folder).reward.params, reward.params)
     with pytest.raises(ValueError, match="of another run the reward, of 3 members"):
-        runs.add_seeds(folder, (8,))
+        runs.extend(folder, seeds=(8,))
     runs.extend(folder, 200)
     replace(reward, params=reward.params + 1).save(folder / "frozen.safetensors")
     with pytest.raises(ValueError, match=r"frozen\.safetensors is not the reward .* put that"):
@@ -601,6 +602,20 @@ def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_datase
     assert records.read(folder).steps[-1] == config.total_steps
 
 
+def test_a_run_may_be_made_where_one_stands_and_behind_a_link(plain, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    runs.create(tmp_path / "link", plain, SEEDS)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    runs.create(".", plain, SEEDS)
+    resume(".")
+    for folder in (tmp_path / "elsewhere", tmp_path / "here"):
+        assert records.Plan.read(folder).config == plain
+    assert manifest(tmp_path / "here")["state"] == "finished"
+    assert {path.name for path in tmp_path.iterdir()} == {"elsewhere", "link", "here"}
+
+
 def test_nothing_is_overwritten(interrupted, folder, plain):
     before = files(folder)
     with pytest.raises(FileExistsError, match=r"not empty: `offairl resume .*one` goes on"):
@@ -617,7 +632,7 @@ def test_two_processes_do_not_share_a_shard(folder, plain):
     for attempt in (
         lambda: resume(folder),
         lambda: runs.extend(folder, 200),
-        lambda: runs.add_seeds(folder, (8,)),
+        lambda: runs.extend(folder, seeds=(8,)),
     ):
         with pytest.raises(OSError, match=r"another process is at work on .*3-7: let it finish"):
             attempt()
@@ -746,7 +761,7 @@ def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
         with pytest.raises(OSError, match=r"needs .* MB of disk"):
             runs.extend(folder, 100_000)
         with pytest.raises(OSError, match=r"needs .* MB of disk"):
-            runs.add_seeds(folder, tuple(range(10, 40)))
+            runs.extend(folder, seeds=tuple(range(10, 40)))
     assert records.read(folder).config == plain
 
 
@@ -825,7 +840,7 @@ def test_a_shard_that_diverges_leaves_the_others_alone(folder, plain, monkeypatc
     assert manifest(folder)["state"] == "stopped: every member has diverged"
     assert list(records.read(folder).diverged) == [3, 7]
     monkeypatch.undo()
-    runs.add_seeds(folder, (5,))
+    runs.extend(folder, seeds=(5,))
     resume(folder)
     assert manifest(folder)["state"] == "finished"
     assert [(r.seed, r.step) for r in records.read(folder).rows[2:]] == [(5, 50), (5, 100)]

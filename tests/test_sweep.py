@@ -31,7 +31,8 @@ for path in (folder, folder / "members" / name):
     (path / "curve.csv").write_text(curve)
 lost = {"3": "too cold"} if value == 0.01 else {}
 shards = {name: {"diverged": lost}}
-(folder / "run.json").write_text(json.dumps({"state": "finished", "shards": shards}))
+state = "stopped: every member has diverged" if lost and len(seeds) == 1 else "finished"
+(folder / "run.json").write_text(json.dumps({"state": state, "shards": shards}))
 """
 
 
@@ -238,6 +239,12 @@ def test_failures_are_reported_and_the_rest_is_done(offairl, capsys):
 
 def test_members_that_diverged_are_named(offairl, capsys):
     offairl(f"maze-expert --grid temperature=0.01 {SMALL}")
+    assert "temperature=0.01 (diverged: 3)" in capsys.readouterr().out
+
+
+def test_runs_without_a_member_left_are_an_error(offairl, capsys):
+    with pytest.raises(FloatingPointError, match=r"every member of temperature=0\.01 has diverged"):
+        offairl(f"maze-expert --grid temperature=0.01,0.1 {SMALL.replace(' 0 3', ' 3')}")
     assert "temperature=0.01 (diverged: 3)" in capsys.readouterr().out
 
 

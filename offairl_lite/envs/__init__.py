@@ -21,10 +21,19 @@ from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 
 from offairl_lite.envs.batched import BatchedEnv
-from offairl_lite.envs.serial import BoundedAction, SerialEnv
+from offairl_lite.envs.serial import BoundedAction, SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
-__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "make", "require_boxes", "spec"]
+__all__ = [
+    "TASKS",
+    "BatchedEnv",
+    "SerialEnv",
+    "SingleEnv",
+    "TaskError",
+    "make",
+    "require_boxes",
+    "spec",
+]
 
 
 class SingleEnv(gymnasium.Env):
@@ -151,6 +160,7 @@ def make(
         ModuleNotFoundError: the id names a module that is not there.
         ValueError: the id is not known; its spaces are not what `require_boxes` expects;
             `population` is below 1; or the number of seeds is not `population`.
+        TaskError: the task's own code has failed.
     """
     seeds = [seed + i for i in range(population)] if isinstance(seed, int) else list(seed)
     if population < 1 or len(seeds) != population:
@@ -167,13 +177,14 @@ def make(
     spec(env_id)  # Refuses an unknown one with more help than Gymnasium gives.
     # An environment that cannot be rendered need not know the word.
     rendering = {} if render_mode is None else {"render_mode": render_mode}
-    env = gymnasium.make_vec(
-        env_id,
-        num_envs=population,
-        vectorization_mode="sync",
-        vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
-        **rendering,
-    )
+    with own_code(env_id, "making"):
+        env = gymnasium.make_vec(
+            env_id,
+            num_envs=population,
+            vectorization_mode="sync",
+            vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+            **rendering,
+        )
     require_boxes(env_id, env.single_observation_space, env.single_action_space)
     actions = env.single_action_space
     ones = np.ones_like(actions.high)

@@ -1,8 +1,10 @@
 """Members of any Gymnasium task, stepped one by one."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from copy import deepcopy
 
+import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import VectorEnv, VectorWrapper
@@ -16,6 +18,25 @@ from offairl_lite.envs.batched import (
     reset_mask,
     set_generator_words,
 )
+
+
+class TaskError(RuntimeError):
+    """A task's own code has failed; the cause says where."""
+
+
+@contextmanager
+def own_code(task: str, what: str) -> Iterator[None]:
+    """Tell what a task's own code raises from what this package refuses.
+
+    Gymnasium's errors, and what is missing to import, say themselves what to do.
+    """
+    try:
+        yield
+    except (gymnasium.error.Error, ImportError):
+        raise
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        raise TaskError(f"{task} has failed in its {what}, {why}") from error
 
 
 class BoundedAction(RescaleAction):
@@ -53,7 +74,7 @@ class SerialEnv(VectorWrapper):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
-        """Start new episodes; arguments and errors are those of `BatchedEnv.reset`."""
+        """Start new episodes; arguments are those of `BatchedEnv.reset`, errors also TaskError."""
         mask = reset_mask(options, self.num_envs)
         seeds = member_seeds(seed, self.num_envs)
         seeds = [b if a is None else a for a, b in zip(seeds, self._seeds, strict=True)]
@@ -64,7 +85,8 @@ class SerialEnv(VectorWrapper):
             for i in np.flatnonzero(mask)
         }
         # Gymnasium takes the mask out of the options it is given.
-        observations, info = self.env.reset(seed=seeds, options=options and dict(options))
+        with self._own("reset"):
+            observations, info = self.env.reset(seed=seeds, options=options and dict(options))
         observations[~mask] = self._observations[~mask]
         self._observations = observations.copy()
         self._clock[mask], self._idle[mask] = 0, False
@@ -76,14 +98,23 @@ class SerialEnv(VectorWrapper):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Advance every member by one step; RuntimeError if one has no episode in progress."""
+        """Advance every member by one step.
+
+        Raises:
+            RuntimeError: a member has no episode in progress.
+            TaskError: the task itself has failed.
+        """
         require_episodes(self._idle)
         actions = np.array(actions, self.action_space.dtype)
-        observations, rewards, terminated, truncated, info = self.env.step(actions.copy())
+        with self._own("step"):
+            observations, rewards, terminated, truncated, info = self.env.step(actions.copy())
         self._actions.append(actions)
         self._clock += 1
         self._observations, self._idle = observations.copy(), terminated | truncated
         return observations, rewards, terminated, truncated, info
+
+    def _own(self, what: str) -> AbstractContextManager[None]:
+        return own_code(str(self.unwrapped), what)
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as arrays that `set_state` takes back.
@@ -127,19 +158,16 @@ class SerialEnv(VectorWrapper):
         set_generator_words(generators, state["starts"])
         self._seeds, self._starts = [None] * self.num_envs, deepcopy(generators)
         # Everyone, for `SyncVectorEnv` cannot reset a few before it has reset all.
-        first, _ = self.env.reset()
+        with self._own("reset"):
+            first, _ = self.env.reset()
         new = state["idle"] & (state["clock"] == 0)
         for i in np.flatnonzero(new):
             set_generator_words([self._members[i].unwrapped.np_random], state["starts"][[i]])
         self._observations = np.where(new[:, None], state["observations"], first)
         self._actions = list(state["actions"].copy())
         self._clock, self._idle = state["clock"].copy(), new
-        for left, actions in zip(range(len(self._actions), 0, -1), self._actions, strict=True):
-            played = self._rescaled(actions)
-            # Episodes have different lengths, so past the `SyncVectorEnv`, which steps all.
-            for i in np.flatnonzero(self._clock >= left):
-                observation, _, terminated, truncated, _ = self._members[i].step(played[i])
-                self._observations[i], self._idle[i] = observation, terminated or truncated
+        with self._own("step"):
+            self._play()
 
         again = self.get_state()
         wrong = [k for k in state if not np.array_equal(again[k], state[k], equal_nan=True)]
@@ -149,3 +177,12 @@ class SerialEnv(VectorWrapper):
                 "played again; expected a task whose episodes depend on nothing but np_random, as "
                 "it was before the reset, and the actions"
             )
+
+    def _play(self) -> None:
+        """Play the episodes again, from their starts."""
+        for left, actions in zip(range(len(self._actions), 0, -1), self._actions, strict=True):
+            played = self._rescaled(actions)
+            # Episodes have different lengths, so past the `SyncVectorEnv`, which steps all.
+            for i in np.flatnonzero(self._clock >= left):
+                observation, _, terminated, truncated, _ = self._members[i].step(played[i])
+                self._observations[i], self._idle[i] = observation, terminated or truncated

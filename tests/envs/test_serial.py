@@ -1,6 +1,7 @@
 """Any Gymnasium task: seeds, resets, states saved and restored, errors."""
 
 import io
+import traceback
 
 import gymnasium
 import numpy as np
@@ -255,3 +256,22 @@ def test_generator_of_another_kind_runs_but_is_not_saved(odd_walk, bits):
         env.get_state()
     with pytest.raises(ValueError, match=message):
         env.set_state(saved)
+
+
+@pytest.mark.parametrize("where", ["making", "reset", "step"])
+def test_an_error_of_the_task_itself_says_so_and_where(walk, monkeypatch, where):
+    def broken(self, *given, seed=None, options=None):
+        raise ValueError("shapes (2,) and (3,)")
+
+    monkeypatch.setattr(Walk, {"making": "__init__"}.get(where, where), broken)
+
+    def use():
+        env = envs.make("Walk-v0", 2, 0)
+        env.reset()
+        env.step(np.zeros((2, 2), np.float32))
+
+    with pytest.raises(envs.TaskError, match=rf"Walk-v0.* {where}, ValueError: shapes") as caught:
+        use()
+    assert isinstance(caught.value.__cause__, ValueError)
+    frames = traceback.extract_tb(caught.value.__cause__.__traceback__)
+    assert frames[-1].name == "broken"
