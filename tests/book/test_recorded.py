@@ -110,6 +110,8 @@ VARIED = {
     },
     "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
     "locomotion-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
+    "locomotion-alpha-02-demo/Hopper-dac": {"eval_every", "temperature"},
+    "locomotion-alpha-1-demo/Hopper-dac": {"eval_every", "temperature"},
     "locomotion-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
     "locomotion-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     # The shipped experts are trained for longer, and evaluated less often.
