@@ -65,11 +65,14 @@ def _filming(env_id: str) -> Iterator[None]:
     """Say of a task that does not render frames what it lacks."""
     try:
         yield
-    # What Python, Gymnasium's checker and its base class raise, in this order.
-    except (TypeError, AssertionError, NotImplementedError) as error:
+    except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
+        why = error.__cause__ if isinstance(error, envs.TaskError) else error
+        # What Python, Gymnasium's checker and its base class raise, in this order.
+        if not isinstance(why, TypeError | AssertionError | NotImplementedError):
+            raise
         raise ValueError(
             f"{env_id} cannot be filmed: it needs render_mode='rgb_array', with which render() "
-            f"returns frames (height, width, 3); here: {error!r}"
+            f"returns frames (height, width, 3); here: {why!r}"
         ) from error
 
 

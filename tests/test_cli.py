@@ -238,11 +238,11 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
             f"run --centre-reward maze-expert {SMALL}",
             "the defaults are those of maze-imitation at demo scale: name the experiment before",
         ),
-        ("run maze-imitation --env-id Nowhere-v0", "no expert is shipped for Nowhere-v0"),
+        ("run maze-imitation --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
         (f"run maze-expert --env-id Nowhere-v0 {SMALL}", "unknown environment 'Nowhere-v0'"),
         ("run imitate --env-id Nowhere-v0 --dataset my/pendulum-v0", "Nowhere"),
         ("run imitate --env-id Pendulum-v1 --dataset my/other-v0", "no local data set"),
-        ("demos Nowhere-v0", "no expert is shipped for Nowhere-v0"),
+        ("demos Nowhere-v0", "unknown environment 'Nowhere-v0'"),
         ("watch Nowhere-v0", "no expert is shipped for Nowhere-v0"),
         ("watch no.safetensors", "no policy at no.safetensors"),
         (

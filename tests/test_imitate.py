@@ -881,11 +881,11 @@ def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
 @pytest.mark.parametrize(
     ("kind", "obs_dim", "gives", "cure"),
     [
-        ("none", 5, 3, "it is of another task, Hopper-v5; give the reward of one like offairl/"),
-        ("none", 2, 3, "it is of another task"),
-        ("none", 4, 3, "with an absorbing state, set absorbing='bootstrap'"),
-        ("bootstrap", 3, 4, "without an absorbing state, set absorbing='none'"),
-        ("analytic", 5, 4, "it is of another task"),
+        ("none", 5, 3, "it was learned on Hopper-v5; give the reward of a task like offairl/"),
+        ("none", 2, 3, "it was learned on Hopper-v5; give"),
+        ("none", 4, 3, "on Hopper-v5; if that had an absorbing state, set absorbing='bootstrap'"),
+        ("bootstrap", 3, 4, "on Hopper-v5; if that had no absorbing state, set absorbing='none'"),
+        ("analytic", 5, 4, "it was learned on Hopper-v5; give"),
     ],
 )
 def test_a_frozen_reward_of_other_observations_is_refused(tiny, kind, obs_dim, gives, cure):
