@@ -365,12 +365,13 @@ class Trainer:
         self.episodes += torch.from_numpy(done)
         return done
 
-    def _sound(self, *given: np.ndarray) -> list[np.ndarray]:
+    def _sound(self, *given: np.ndarray) -> Sequence[np.ndarray]:
         """Return what the task gives, without NaN; whoever has any is given up."""
         finite = np.all([np.isfinite(x).reshape(len(x), -1).all(1) for x in given], axis=0)
-        if not finite.all():
-            cure = f"mend {self.config.env_id}"
-            self._give_up("observation or reward", torch.from_numpy(~finite), cure)
+        if finite.all():
+            return given
+        cure = f"mend {self.config.env_id}"
+        self._give_up("observation or reward", torch.from_numpy(~finite), cure)
         return [np.nan_to_num(x) for x in given]
 
     def _seen(self, obs: np.ndarray) -> Float[Tensor, "S O"]:
