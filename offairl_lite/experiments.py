@@ -158,6 +158,41 @@ _SIDE_BY_SIDE = {
 }
 
 
+# What makes off-policy AIRL work on robots: its loss, the temperature, and how many random steps
+# come first. The released loss at 0.2 after the short warm-up is the recipe.
+_RELEASED = {"policy_in_logit": False}
+_LOSSES = {"exact": {}, "mixture": _MIXTURE, "released": _RELEASED, "dac": {"reward": "dac"}}
+_TEMPERATURES = {"fixed": 0.2, "learned": None, "one": 1.0}
+_WARMUPS = {"short": 1_000, "long": 10_000}
+_ROBOTS = {
+    "Hopper": {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
+    "Walker2d": {"env_id": "Walker2d-v5", "absorbing": "bootstrap"},
+    "HalfCheetah": {"env_id": "HalfCheetah-v5"},
+    "CustomAnt": {"env_id": ANT},
+}
+_WHAT_DECIDES = {
+    f"{robot}-{loss}-{temperature}-{warmup}": {
+        **task,
+        **changes,
+        "temperature": _TEMPERATURES[temperature],
+        "warmup_steps": _WARMUPS[warmup],
+    }
+    for robot, task in _ROBOTS.items()
+    for loss, changes in _LOSSES.items()
+    for temperature in _TEMPERATURES
+    for warmup in _WARMUPS
+}
+_WITH_THE_RECIPE = {
+    f"{robot}-{name}": {**task, **changes}
+    for robot, task in _ROBOTS.items()
+    for name, changes in (
+        ("airl", _RELEASED),
+        ("dac", _LOSSES["dac"]),
+        ("dac-td3", {**_LOSSES["dac"], "generator": "td3"}),
+    )
+}
+
+
 # Paid by minus a distance of at most 0.6, SAC would park against the wall behind the goal, 0.045
 # too far: the entropy is worth more. Magnified, the distance is.
 _EXPERT = {"reward": "environment", "reward_scale": 100.0}
@@ -392,6 +427,26 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _locomotion("HalfCheetah-v5", _SMALL_MCP, temperature=None),
         SEEDS,
         variants=_SIDE_BY_SIDE,
+        experts=_ONE_EXPERT,
+    ),
+    "what-decides": Experiment(
+        "What makes off-policy AIRL work on robots: loss, temperature and warm-up, 96 runs",
+        _locomotion(
+            "Hopper-v5", {"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 5}
+        ),
+        SEEDS,
+        variants=_WHAT_DECIDES,
+        experts=_ONE_EXPERT,
+    ),
+    "recipe": Experiment(
+        "Robots for 500,000 steps: off-policy AIRL by the recipe, DAC with SAC and TD3, 12 runs",
+        _locomotion(
+            "Hopper-v5",
+            {"total_steps": 500_000, "eval_every": 25_000, "eval_episodes": 10},
+            warmup_steps=1_000,
+        ),
+        SEEDS,
+        variants=_WITH_THE_RECIPE,
         experts=_ONE_EXPERT,
     ),
     "maze-retraining": Experiment(

@@ -27,9 +27,11 @@ def test_full_scale_is_the_paper_s_protocol(name):
 def test_demo_scale_is_small(name):
     config = EXPERIMENTS[name].configs["demo"]
     # On-policy learning takes ten times the steps, and each of them less. The ants learn nothing in
-    # fewer than 50,000, and have three seeds.
+    # fewer than 50,000, and have three seeds. What decides between methods is seen later still.
     ants = name.startswith("ant-")
-    assert config.total_steps <= (60_000 if ants or config.generator == "ppo" else 20_000)
+    most = {"what-decides": 100_000, "recipe": 500_000}
+    most = most.get(name, 60_000 if ants or config.generator == "ppo" else 20_000)
+    assert config.total_steps <= most
     assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if ants else 5)
 
 
@@ -106,6 +108,37 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
         assert len(tasks) == 5
         assert len(experiment.variants) == len(tasks) * len(between)
         assert (config.temperature, config.update_every) == (None, 1_000), scale
+
+
+def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
+    experiment = find("what-decides")
+    varied = {"policy_in_logit", "replay_density", "reward", "temperature", "warmup_steps"}
+    assert len(experiment.variants) == 4 * 4 * 3 * 2
+    for config in experiment.configs.values():
+        for name, changes in experiment.variants.items():
+            robot, loss, temperature, warmup = name.split("-")
+            run = replace(config, **changes)
+            recipe = replace(config, **experiment.variants[f"{robot}-released-fixed-short"])
+            assert set(differences(run, recipe)) <= varied
+            assert run.temperature == {"fixed": 0.2, "learned": None, "one": 1.0}[temperature]
+            assert run.warmup_steps == {"short": 1_000, "long": 10_000}[warmup]
+            assert (run.reward == "dac") == (loss == "dac")
+            assert (run.policy_in_logit, run.replay_density) == {
+                "exact": (True, "policy"),
+                "mixture": (True, "mixture"),
+                "released": (False, "policy"),
+                "dac": (True, "policy"),
+            }[loss]
+
+
+def test_the_recipe_is_what_decided():
+    for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt"):
+        short = configure(f"what-decides/{robot}-released-fixed-short", "demo")
+        long = configure(f"recipe/{robot}-airl", "demo")
+        schedule = {"total_steps", "eval_every", "eval_episodes"}
+        assert set(differences(short, long)) == schedule
+        dac = configure(f"recipe/{robot}-dac", "demo")
+        assert set(differences(long, dac)) == {"policy_in_logit", "reward"}
 
 
 @pytest.mark.parametrize("name", ["maze-retraining", "ant-transfer"])
