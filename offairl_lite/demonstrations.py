@@ -26,9 +26,9 @@ from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite import envs
-from offairl_lite.evaluate import Episodes, require_actions, rollout
-from offairl_lite.policies import Policy, unsquash
-from offairl_lite.replay import Batch
+from offairl_lite.core.policies import Policy, unsquash
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rollouts import Episodes, require_actions, rollout
 
 EXPERTS = Path(__file__).parent / "experts"
 PURPOSE = 1

@@ -18,11 +18,11 @@ from minari.data_collector.episode_buffer import EpisodeBuffer
 from offairl_lite import demonstrations as module
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED
+from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import Policy, SquashedGaussian, unsquash
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Streams
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.networks import Normaliser
-from offairl_lite.policies import Policy, SquashedGaussian, unsquash
-from offairl_lite.replay import Batch
-from offairl_lite.streams import Streams
 
 
 def pytest_addoption(parser):

@@ -15,14 +15,15 @@ import torch
 from filelock import FileLock
 from minari.data_collector.episode_buffer import EpisodeBuffer
 
-from offairl_lite import absorbing, demonstrations
+from offairl_lite import demonstrations
+from offairl_lite.core import absorbing
+from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Streams
+from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import Demonstrations, load, short_name
 from offairl_lite.envs.models import GOAL
-from offairl_lite.evaluate import rollout
-from offairl_lite.networks import Normaliser
-from offairl_lite.policies import Policy, SquashedGaussian
-from offairl_lite.replay import Batch
-from offairl_lite.streams import Streams
 
 MAZE = "offairl/PointMazeLeft-v0"
 BOX = gymnasium.spaces.Box

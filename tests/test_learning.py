@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from offairl_lite.config import CORRECTED
+from offairl_lite.core.loop import train
 from offairl_lite.experiments import find
-from offairl_lite.imitate import train
 
 
 def test_sac_on_the_true_reward_solves_the_maze():

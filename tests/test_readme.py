@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from offairl_lite import cli, experiments
+from offairl_lite import experiments
+from offairl_lite.runs import cli
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", "book/index.md", "book/running_at_scale.md", "CONTRIBUTING.md"]

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.special import entr, logsumexp
 
 from offairl_lite import envs, tabular
-from offairl_lite.discriminators import shaped_reward
+from offairl_lite.core.discriminator import shaped_reward
 from offairl_lite.envs.models import GOAL, START, walls
 from offairl_lite.tabular import (
     MDP,

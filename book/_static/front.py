@@ -8,8 +8,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from offairl_lite import demonstrations, plots, records
-from offairl_lite.evaluate import rollout
+from offairl_lite import demonstrations
+from offairl_lite.analysis import plots
+from offairl_lite.core.rollouts import rollout
+from offairl_lite.runs import records
 
 BOOK = Path(__file__).parents[1]
 

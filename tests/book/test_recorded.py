@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 import torch
 
-from offairl_lite import records, runs
 from offairl_lite.config import Config, differences
+from offairl_lite.core.networks import Normaliser, load_weights
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.rng import Streams
+from offairl_lite.core.sac import stochastic_actor
 from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, record
-from offairl_lite.networks import Normaliser, load_weights
-from offairl_lite.policies import Policy
-from offairl_lite.provenance import PACKAGES
-from offairl_lite.records import Plan, read_json
-from offairl_lite.runs import INHERITED
-from offairl_lite.sac import stochastic_actor
-from offairl_lite.streams import Streams
+from offairl_lite.runs import folders as runs
+from offairl_lite.runs import records
+from offairl_lite.runs.folders import INHERITED
+from offairl_lite.runs.provenance import PACKAGES
+from offairl_lite.runs.records import Plan, read_json
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"

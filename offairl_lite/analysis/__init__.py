@@ -1,0 +1,1 @@
+"""What is made of runs: statistics, distances between rewards, figures and films."""

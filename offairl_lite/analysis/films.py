@@ -1,0 +1,99 @@
+"""Short MP4 films of policies, drawn without any graphics library and embedded in the page."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+
+import imageio_ffmpeg
+import mediapy
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+from IPython.display import HTML
+from jaxtyping import UInt8
+
+from offairl_lite import envs
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.rollouts import require_fit, seen
+
+
+def frames(
+    policy: Policy, env_id: str, seed: int = 0, max_steps: int = 200, every: int = 1
+) -> UInt8[np.ndarray, "T H W 3"]:
+    """Return the frames of one episode of a one-member policy's mode.
+
+    Args:
+        policy: one member; take it with `policy.member(i)`.
+        env_id: one of the package's tasks, or another that renders frames.
+        seed: of the episode.
+        max_steps: where to stop at the latest.
+        every: steps between frames.
+
+    Raises:
+        ValueError: the policy has more than one member, it sees or gives other numbers than the
+            task has, or the task does not render frames.
+    """
+    if len(policy) != 1:
+        raise ValueError(f"{len(policy)} members in one film; choose one: policy.member(0)")
+    policy = policy.to("cpu")
+    with _filming(env_id):
+        env = envs.make(env_id, 1, seed, render_mode="rgb_array")
+    with closing(env):
+        require_fit(policy, env)
+        obs, _ = env.reset()
+        pictures = [_picture(env, env_id)]
+        for step in range(1, max_steps + 1):
+            x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
+            obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
+            if step % every == 0:
+                pictures.append(_picture(env, env_id))
+            if terminated[0] or truncated[0]:
+                break
+    return np.stack(pictures)
+
+
+def _picture(env: VectorEnv, env_id: str) -> UInt8[np.ndarray, "H W 3"]:
+    """Return the present frame of an environment's only member."""
+    with _filming(env_id):
+        picture = env.render()[0]
+        if np.shape(picture)[2:] != (3,):
+            raise TypeError(f"render() returned {type(picture).__name__}")
+    return picture
+
+
+@contextmanager
+def _filming(env_id: str) -> Iterator[None]:
+    """Say of a task that does not render frames what it lacks."""
+    try:
+        yield
+    except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
+        why = error.__cause__ if isinstance(error, envs.TaskError) else error
+        # What Python, Gymnasium's checker and its base class raise, in this order.
+        if not isinstance(why, TypeError | AssertionError | NotImplementedError):
+            raise
+        raise ValueError(
+            f"{env_id} cannot be filmed: it needs render_mode='rgb_array', with which render() "
+            f"returns frames (height, width, 3); here: {why!r}"
+        ) from error
+
+
+def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
+    """Encode frames as H.264, well under a kilobyte a frame."""
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    return mediapy.compress_video(pictures, fps=fps, crf=28)
+
+
+def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) -> HTML:
+    """Return the film for a notebook: it carries its own bytes, so the page needs no other file."""
+    height, width = pictures.shape[1:3]
+    player = mediapy.html_from_compressed_video(mp4(pictures, fps), width, height)
+    return HTML(f"<figure>{player}<figcaption>{caption}</figcaption></figure>")
+
+
+def side_by_side(*films: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T H W 3"]:
+    """Join films of equal height; a shorter one stands still at its end."""
+    longest = max(map(len, films))
+    return np.concatenate([_held(film, longest) for film in films], axis=2)
+
+
+def _held(film: Sequence, length: int) -> np.ndarray:
+    return np.concatenate([film, np.repeat(film[-1:], length - len(film), axis=0)])

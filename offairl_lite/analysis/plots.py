@@ -1,0 +1,162 @@
+"""The book's figures, in one style that is legible on light and dark pages and to the colour-blind.
+
+Colours are those of Okabe and Ito (2008).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.image import AxesImage
+from matplotlib.quiver import Quiver
+
+from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
+from offairl_lite.core.discriminator import Reward
+from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, walls
+from offairl_lite.tabular import MOVES
+
+BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
+GREY = "#7f7f7f"
+
+STYLE = {
+    "figure.figsize": (6.4, 3.4),
+    "figure.dpi": 110,
+    # A white card reads the same on a light and on a dark page.
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.titlesize": "medium",
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "legend.fontsize": "small",
+    "lines.linewidth": 1.8,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the book's style."""
+    with plt.rc_context(STYLE):
+        yield
+
+
+def curve(
+    ax: Axes,
+    steps: Float[np.ndarray, "K"],
+    returns: Float[np.ndarray, "S K"],
+    label: str,
+    color: str = BLUE,
+    linestyle: str = "-",
+) -> None:
+    """Draw a population's learning curve: interquartile mean, 95 % bootstrap band, every member."""
+    low, high = bootstrap_interval(returns)
+    ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
+    ax.plot(steps, returns.T, color=color, alpha=0.35, linewidth=0.7)
+    mean = interquartile_mean(returns)
+    ax.plot(steps, mean, color=color, linestyle=linestyle, label=label)
+
+
+def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str = "--") -> None:
+    """Draw a horizontal line to compare with, named at its right end."""
+    ax.axhline(value, color=color, linestyle=linestyle, linewidth=1.2)
+    ax.annotate(
+        label,
+        (1, value),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="right",
+        color=color,
+        fontsize="small",
+    )
+
+
+class _Walls(LineCollection):
+    """Lines as wide as the walls. Their width is in points, so the axes must have their size."""
+
+    def draw(self, renderer) -> None:
+        ends = self.axes.transData.transform([(0, 0), (2 * WALL_RADIUS, 0)])
+        self.set_linewidth(np.ptp(ends[:, 0]) * 72 / self.axes.figure.dpi)
+        super().draw(renderer)
+
+
+def maze(ax: Axes, side: str | None) -> None:
+    """Draw the walls, the start and the goal of the maze of that side; None: without a barrier."""
+    ax.add_collection(_Walls(walls(side), colors="black", capstyle="round", zorder=2))
+    ax.set(xlim=(-0.14, LENGTH + 0.04), ylim=(-0.14, LENGTH + 0.04), aspect="equal")
+    ax.set(xticks=[0, 0.3, 0.6], yticks=[0, 0.3, 0.6], xlabel="x (m)", ylabel="y (m)")
+    ax.grid(False)
+    ax.plot(*START, "o", color="white", markeredgecolor="black", zorder=3)
+    ax.plot(*GOAL, "*", color=GREEN, markeredgecolor="black", markersize=13, zorder=3)
+
+
+def reward_map(
+    ax: Axes, reward: Reward, side: str, member: int = 0, resolution: int = 81
+) -> AxesImage:
+    """Draw a learned r(s) over the maze, shifted so that its best place is 0."""
+    inner = np.linspace(-0.08, LENGTH - 0.02, resolution)
+    x, y = np.meshgrid(inner, inner)
+    obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
+    value = reward.member(member).to("cpu")(obs.view(1, -1, 3)).view(x.shape).numpy()
+    half = (inner[1] - inner[0]) / 2  # a pixel lies around its place
+    extent = (inner[0] - half, inner[-1] + half) * 2
+    image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)
+    maze(ax, side)
+    return image
+
+
+def grid(ax: Axes, values: Float[np.ndarray, "S"], side: str) -> AxesImage:
+    """Draw a function of the squares of `tabular.maze`, in their order, over the maze."""
+    cells = math.isqrt(len(values))
+    low, high = walls(side)[:4].min(), walls(side)[:4].max()
+    extent = (low, high, low, high)
+    image = ax.imshow(
+        values.reshape(cells, cells), origin="lower", extent=extent, cmap="cividis", zorder=1
+    )
+    maze(ax, side)
+    return image
+
+
+def arrows(
+    ax: Axes,
+    policy: Float[np.ndarray, "S A"],
+    positions: Float[np.ndarray, "S 2"],
+    color: str = "white",
+) -> Quiver:
+    """Draw the mean move of a policy of `tabular.maze` in each square; the undecided are short."""
+    size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
+    move = 0.9 * size * (policy @ MOVES)
+    return ax.quiver(
+        *positions.T,
+        *move.T,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        pivot="mid",
+        width=0.004,
+        headwidth=4,
+        color=color,
+        zorder=1.5,
+    )
+
+
+def trajectories(
+    ax: Axes, obs: Float[np.ndarray, "N T O"], color: str = BLUE, label: str | None = None
+) -> None:
+    """Draw paths over the maze."""
+    for i, path in enumerate(np.asarray(obs)):
+        ax.plot(*path[:, :2].T, color=color, alpha=0.7, linewidth=1, label=None if i else label)
+
+
+def mark(ax: Axes, steps: int, total: int, seeds: Sequence[int], scale: str) -> None:
+    """Say on the figure itself at what scale it was made."""
+    text = f"{scale} scale · {len(seeds)} seeds · {steps:,} of {total:,} steps"
+    ax.set_title(text, loc="left", fontsize="small", color=GREY)

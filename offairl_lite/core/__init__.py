@@ -1,0 +1,1 @@
+"""Off-policy AIRL for a population of seeds: networks, losses, learners and Algorithm 1."""

@@ -1,0 +1,372 @@
+"""Networks for a population: the weights of `S` members are one matrix, `(S, P)`.
+
+A network here is only an architecture. Its weights are an ordinary tensor that is passed in, so a
+loss is a function of tensors, a target network is a second tensor, averaging it is one call, and
+member `i` is row `i`.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from offairl_lite.core.rng import Streams
+
+TINY = 1e-12
+"""What keeps roots and quotients of lengths finite at 0."""
+
+
+class Normaliser(NamedTuple):
+    """Fixed affine map of observations: `(obs - mean) / std`, member by member."""
+
+    mean: Float[Tensor, "S 1 O"]
+    std: Float[Tensor, "S 1 O"]
+
+    @classmethod
+    def identity(cls, population: int, obs_dim: int, device: torch.device | str = "cpu") -> Self:
+        """Return the map that changes nothing."""
+        zeros = torch.zeros(population, 1, obs_dim, device=device)
+        return cls(zeros, torch.ones_like(zeros))
+
+    @classmethod
+    def of(cls, *sources: Float[Tensor, "S _ O"]) -> Self:
+        """Return the map that gives an even mixture of the sources mean 0 and spread 1.
+
+        A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
+        would turn rounding into signal.
+        """
+        mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
+        squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
+        std = torch.stack(squares).mean(0).sqrt()
+        return cls(mean, torch.where(std < 1e-8 + 1e-5 * mean.abs(), 1.0, std))
+
+    def member(self, *index: int) -> Self:
+        """Return the maps of these members alone."""
+        return type(self)(*(part[list(index)] for part in self))
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the same maps on a device."""
+        return type(self)(*(part.to(device) for part in self))
+
+    def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:
+        """Scale observations.
+
+        Raises:
+            ValueError: they have not three axes; two would be taken for every member's.
+        """
+        if obs.ndim != 3:
+            raise ValueError(f"observations have axes {tuple(obs.shape)}; expected (S, B, O)")
+        return (obs - self.mean) / self.std
+
+
+@dataclass(frozen=True)
+class StackedMLP:
+    """A multilayer perceptron, for `S` sets of weights at once: a layer is one `baddbmm`.
+
+    Args:
+        sizes: features of the input, of each hidden layer and of the output.
+        activation: of the hidden layers; the output is linear.
+    """
+
+    sizes: tuple[int, ...]
+    activation: Literal["relu", "tanh"] = "relu"
+
+    @property
+    def num_params(self) -> int:
+        """P: weights and biases of one member."""
+        return sum((i + 1) * o for i, o in pairwise(self.sizes))
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw Glorot-uniform weights and zero biases (Glorot and Bengio, 2010)."""
+        parts = []
+        for i, o in pairwise(self.sizes):
+            parts += [
+                torch.zeros(len(streams), o, device=streams.device),
+                (2 * streams.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5,
+            ]
+        return torch.cat(parts, 1)
+
+    def layers(self, params: Float[Tensor, "S P"]) -> list[tuple[Tensor, Tensor]]:
+        """Cut the rows of `params` into biases `(S, 1, out)` and weights `(S, in, out)`."""
+        shapes = list(pairwise(self.sizes))
+        parts = params.split([n for i, o in shapes for n in (o, i * o)], 1)
+        return [
+            (bias.unsqueeze(1), weight.view(-1, i, o))
+            for bias, weight, (i, o) in zip(parts[::2], parts[1::2], shapes, strict=True)
+        ]
+
+    def mask(self, inputs: Sequence[int]) -> Float[Tensor, "1 P"]:
+        """Return what to multiply `params` with for an output that sees these inputs alone."""
+        mask = torch.ones(1, self.num_params)
+        _, weight = self.layers(mask)[0]
+        weight.zero_()[:, list(inputs)] = 1
+        return mask
+
+    def __call__(
+        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
+    ) -> Float[Tensor, "S B out"]:
+        """Apply member `i`'s weights to member `i`'s inputs."""
+        *hidden, (bias, weight) = self.layers(params)
+        for b, w in hidden:
+            x = self._activate(_affine(x, w, b))
+        return _affine(x, weight, bias)
+
+    def value_and_input_gradient(
+        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
+    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B in"]]:
+        """Return the scalar output and its gradient by the input.
+
+        The gradient is written out as the chain rule, that is, as a forward pass of its own.
+        Training on it then needs one ordinary backward pass, not a double one.
+        """
+        *hidden, (bias, weight) = self.layers(params)
+        outputs = []
+        for b, w in hidden:
+            x = self._activate(_affine(x, w, b))
+            outputs.append(x)
+        value = _affine(x, weight, bias).squeeze(-1)
+        gradient = weight.transpose(1, 2)
+        for (_, w), h in zip(reversed(hidden), reversed(outputs), strict=True):
+            gradient = (gradient * self._slope(h)) @ w.transpose(1, 2)
+        return value, gradient
+
+    def init_vectors(self, streams: Streams) -> Float[Tensor, "S V"]:
+        """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
+        return self._unit(streams.normal(sum(self.sizes[1:])).split(self.sizes[1:], 1))
+
+    @torch.no_grad()
+    def power_iteration(
+        self, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
+    ) -> Float[Tensor, "S V"]:
+        """Turn unit vectors towards each weight matrix's first right singular vector."""
+        pairs = zip(self.layers(params), vectors.split(self.sizes[1:], 1), strict=True)
+        return self._unit(
+            [(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs]
+        )
+
+    def spectrally_normalised(
+        self, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
+    ) -> Float[Tensor, "S P"]:
+        """Return `params` with each weight matrix divided by its largest singular value.
+
+        That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, u held
+        constant, is the singular value's (Miyato et al. 2018).
+        """
+        parts = []
+        pairs = zip(self.layers(params), vectors.split(self.sizes[1:], 1), strict=True)
+        for (bias, weight), u in pairs:
+            norm = torch.linalg.vector_norm(weight @ u.unsqueeze(-1), dim=(1, 2), keepdim=True)
+            parts += [bias.squeeze(1), (weight / norm.clamp(min=TINY)).flatten(1)]
+        return torch.cat(parts, 1)
+
+    @staticmethod
+    def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
+        return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
+
+    def _activate(self, x: Tensor) -> Tensor:
+        # tanh, as a sigmoid: PyTorch's tanh takes three times as long as that on a CPU.
+        return torch.relu(x) if self.activation == "relu" else 2 * torch.sigmoid(2 * x) - 1
+
+    def _slope(self, h: Tensor) -> Tensor:
+        """Derivative of the activation, from its output."""
+        return (h > 0).to(h) if self.activation == "relu" else 1 - h.square()
+
+
+def _affine(
+    x: Float[Tensor, "S B in"], weight: Float[Tensor, "S in out"], bias: Float[Tensor, "S 1 out"]
+) -> Float[Tensor, "S B out"]:
+    if weight.shape[-1] == 1:
+        # A stack of products with one column each is several times as slow as this.
+        return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias
+    return torch.baddbmm(bias, x, weight)
+
+
+@dataclass(frozen=True)
+class Bottleneck:
+    """A scalar of a stochastic code z ~ N(μ(x), σ(x)²), linear in z (Peng et al. 2019).
+
+    At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
+
+    Args:
+        sizes: of `net`: features of the input, of each hidden layer, and 1.
+        code: numbers in z.
+        activation: of the hidden layers.
+    """
+
+    sizes: tuple[int, ...]
+    code: int
+    activation: Literal["relu", "tanh"] = "relu"
+
+    @property
+    def net(self) -> StackedMLP:
+        """What is left when z is its mean."""
+        return StackedMLP(self.sizes, self.activation)
+
+    @property
+    def encoder(self) -> StackedMLP:
+        """From x to μ and log σ."""
+        return StackedMLP((*self.sizes[:-1], 2 * self.code), self.activation)
+
+    @property
+    def head(self) -> StackedMLP:
+        """From z to the scalar."""
+        return StackedMLP((self.code, 1))
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw the weights of encoder and head."""
+        return torch.cat([self.encoder.init(streams), self.head.init(streams)], 1)
+
+    def at_mean(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S Q"]:
+        """Return the weights of `net`: the head's and those of μ are one linear layer."""
+        encoder, ((head_bias, head_weight),) = self._parts(params)
+        *_, (bias, weight) = self.encoder.layers(encoder)
+        bias = bias[..., : self.code] @ head_weight + head_bias
+        weight = weight[..., : self.code] @ head_weight
+        kept = self.net.num_params - self.sizes[-2] - 1
+        return torch.cat([encoder[:, :kept], bias.flatten(1), weight.flatten(1)], 1)
+
+    def spread(
+        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
+    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+        """Return the scalar's variance, and KL(N(μ, σ²) ‖ N(0, I)) of the code in nats."""
+        encoder, ((_, head_weight),) = self._parts(params)
+        mean, log_std = self.encoder(encoder, x).chunk(2, -1)
+        variance = (2 * log_std).exp()
+        divergence = (mean.square() + variance - 1).sum(-1) / 2 - log_std.sum(-1)
+        return (variance * head_weight.square().transpose(1, 2)).sum(-1), divergence
+
+    def _parts(self, params: Float[Tensor, "S P"]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
+        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
+        return encoder, self.head.layers(head)
+
+
+@dataclass(frozen=True)
+class TwinCritic:
+    """Two Q-networks, which are `2S` entries of one stack.
+
+    Args:
+        obs_dim: O.
+        action_dim: A.
+        hidden: hidden layers.
+    """
+
+    obs_dim: int
+    action_dim: int
+    hidden: tuple[int, ...]
+
+    @property
+    def net(self) -> StackedMLP:
+        """The network, with one output."""
+        return StackedMLP((self.obs_dim + self.action_dim, *self.hidden, 1))
+
+    def init(self, streams: Streams) -> Float[Tensor, "2 S P"]:
+        """Draw the weights of both critics of a population."""
+        return torch.stack([self.net.init(streams), self.net.init(streams)])
+
+    def __call__(
+        self,
+        params: Float[Tensor, "2 S P"],
+        obs: Float[Tensor, "S B O"],
+        action: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "2 S B"]:
+        """Return both values of each action."""
+        x = torch.cat([obs, action], -1)
+        q = self.net(params.flatten(0, 1), x.expand(2, *x.shape).flatten(0, 1))
+        return q.view(2, *x.shape[:2])
+
+
+BETAS, EPSILON = (0.9, 0.999), 1e-8
+"""Adam's own, never changed."""
+
+
+class Adam:
+    """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
+
+    Everything it knows is in tensors that are changed in place, so that a step is a fixed sequence
+    of operations: it can be compiled, or captured as a CUDA graph, together with the loss.
+
+    Args:
+        params: the weights.
+        learning_rate: of every step.
+    """
+
+    def __init__(self, params: Tensor, learning_rate: float) -> None:
+        self.params, self.learning_rate = params.requires_grad_(), learning_rate
+        self.mean, self.square = torch.zeros_like(params), torch.zeros_like(params)
+        self.betas = torch.tensor(BETAS, device=params.device)
+        self.decay = torch.ones_like(self.betas)
+        # The step's length and ε, corrected for the bias. They have a place of their own so that a
+        # compiled step computes them once, not once for every weight.
+        self.scale = torch.zeros_like(self.betas)
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """The weights and what is remembered of their gradients: the tensors themselves."""
+        return {
+            "params": self.params.detach(),
+            "mean": self.mean,
+            "square": self.square,
+            "decay": self.decay,
+        }
+
+    @torch.no_grad()
+    def step(self, gradient: Tensor) -> None:
+        """Take one step down."""
+        self.mean.lerp_(gradient, 1 - BETAS[0])
+        self.square.lerp_(gradient.square(), 1 - BETAS[1])
+        self.decay *= self.betas
+        bias1, bias2 = (1 - self.decay).unbind()
+        unbiased = torch.stack([self.learning_rate / bias1, torch.full_like(bias2, EPSILON)])
+        self.scale.copy_(unbiased * bias2.sqrt())
+        length, epsilon = self.scale.unbind()
+        self.params -= length * self.mean / (self.square.sqrt() + epsilon)
+
+
+def optimizer_states(optimizers: dict[str, Adam]) -> dict[str, Tensor]:
+    """Return the states of several optimizers, each name after its optimizer's."""
+    states = {kind: optimizer.state for kind, optimizer in optimizers.items()}
+    return {f"{kind}.{name}": x for kind, state in states.items() for name, x in state.items()}
+
+
+def descend(loss: Float[Tensor, ""], *optimizers: Adam) -> None:
+    """Step down the gradient of `loss` by the optimizers' tensors, and by nothing else."""
+    gradients = torch.autograd.grad(loss, [optimizer.params for optimizer in optimizers])
+    for optimizer, gradient in zip(optimizers, gradients, strict=True):
+        optimizer.step(gradient)
+
+
+def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[str, Any]) -> None:
+    """Write tensors to a safetensors file, with what they mean as JSON beside them."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    Path(path).write_bytes(save(plain, {"about": json.dumps(about)}))
+
+
+def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read what `save_weights` wrote.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no safetensors file, or one of another `about["kind"]`.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no {kind} at {path}")
+    try:
+        with safe_open(path, "pt") as file:
+            about = json.loads((file.metadata() or {}).get("about", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(f"{path} is no safetensors file: {error}") from error
+    if about.get("kind") != kind:
+        raise ValueError(f"{path} holds {about.get('kind', 'something unnamed')!r}, not a {kind}")
+    return tensors, about

@@ -1,0 +1,366 @@
+"""Policies: the squashed Gaussian with its exact density, products of such, the deterministic one.
+
+Actions lie in (-1, 1). A policy works with `pre_tanh`, the number whose tanh is the action: the
+density of an action that has been rounded to ±1 is lost, that of its `pre_tanh` is not.
+"""
+
+import math
+from dataclasses import asdict, dataclass, replace
+from os import PathLike
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
+from offairl_lite.core.rng import Streams
+
+MAX_ACTION = 1 - 1e-6
+"""Where `unsquash` clamps: an action this close to ±1 counts as this action."""
+
+
+def unsquash(action: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Return `pre_tanh` of given actions, clamped to ±`MAX_ACTION` (|pre_tanh| ≤ 7.25)."""
+    return torch.atanh(action.clamp(-MAX_ACTION, MAX_ACTION))
+
+
+def log_tanh_slope(pre_tanh: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Return log(1 - tanh²(u)) without cancellation, for any u: 2 (log 2 - u - softplus(-2u))."""
+    return 2 * (math.log(2) - pre_tanh - softplus(-2 * pre_tanh))
+
+
+def gaussian_log_density(
+    x: Float[Tensor, "... A"], mean: Float[Tensor, "... A"], log_std: Float[Tensor, "... A"]
+) -> Float[Tensor, "..."]:
+    """Return the log-density of independent Gaussians, summed over the last axis."""
+    z = (x - mean) * torch.exp(-log_std)
+    return (-0.5 * z.square() - log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
+
+
+def defensive_log_density(
+    log_prob: Float[Tensor, "*batch"], uniform_share: float, action_dim: int
+) -> Float[Tensor, "*batch"]:
+    """Return log((1 - w) π + w u): of π's actions mixed with a share w of uniform ones.
+
+    u is the density on [-1, 1]^A. With w > 0 no action, however foreign to π, has a density below
+    w u: a defensive mixture (Hesterberg 1995).
+    """
+    share = log_prob.new_tensor(uniform_share)
+    return torch.logaddexp(log_prob + (-share).log1p(), share.log() - action_dim * math.log(2))
+
+
+@dataclass(frozen=True)
+class SquashedGaussian:
+    """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C).
+
+    Args:
+        obs_dim: O.
+        action_dim: A.
+        hidden: hidden layers of the network that gives μ and log σ.
+        log_std_range: bounds of log σ.
+    """
+
+    obs_dim: int
+    action_dim: int
+    hidden: tuple[int, ...]
+    log_std_range: tuple[float, float] = (-5.0, 2.0)
+
+    @property
+    def net(self) -> StackedMLP:
+        """The network, with 2A outputs."""
+        return StackedMLP((self.obs_dim, *self.hidden, 2 * self.action_dim))
+
+    @property
+    def num_params(self) -> int:
+        """P."""
+        return self.net.num_params
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw the weights of a population."""
+        return self.net.init(streams)
+
+    def distribution(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+        """Return μ and log σ of `pre_tanh`."""
+        mean, raw = self.net(params, obs).chunk(2, -1)
+        return mean, self._log_std(raw)
+
+    def _log_std(self, raw: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+        low, high = self.log_std_range
+        return low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
+
+    def sample(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        noise: Float[Tensor, "S B A"],
+    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B"]]:
+        """Return `pre_tanh` for standard normal `noise`, and the log-density of its action."""
+        mean, log_std = self.distribution(params, obs)
+        pre_tanh = mean + log_std.exp() * noise
+        log_prob = gaussian_log_density(noise, torch.zeros_like(noise), torch.zeros_like(noise))
+        return pre_tanh, log_prob - (log_std + log_tanh_slope(pre_tanh)).sum(-1)
+
+    def explore(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        noise: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "S B A"]:
+        """Return `pre_tanh` for standard normal `noise`: a sample."""
+        mean, log_std = self.distribution(params, obs)
+        return mean + log_std.exp() * noise
+
+    def log_prob(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        pre_tanh: Float[Tensor, "S B A"],
+        density: Literal["exact", "released"] = "exact",
+    ) -> Float[Tensor, "S B"]:
+        """Return log π(a|s) of the actions tanh(`pre_tanh`).
+
+        `released` is what the paper's code computes in its place: the Gaussian density at the
+        squashed action, without the change of variables.
+        """
+        mean, log_std = self.distribution(params, obs)
+        if density == "released":
+            return gaussian_log_density(torch.tanh(pre_tanh), mean, log_std)
+        return gaussian_log_density(pre_tanh, mean, log_std) - log_tanh_slope(pre_tanh).sum(-1)
+
+    def mode(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> Float[Tensor, "S B A"]:
+        """Return the action tanh(μ(s)), which evaluations use."""
+        return torch.tanh(self.distribution(params, obs)[0])
+
+
+def product_of_gaussians(
+    mean: Float[Tensor, "... K A"],
+    log_std: Float[Tensor, "... K A"],
+    weight: Float[Tensor, "... K"],
+    composition: Literal["exact", "released"] = "exact",
+) -> tuple[Float[Tensor, "... A"], Float[Tensor, "... A"]]:
+    """Return μ and log σ of the density proportional to ∏ N(μ_i, σ_i²)^w_i.
+
+    Precisions add up, each times its exponent: 1/σ² = Σ w_i/σ_i², μ = σ² Σ μ_i w_i/σ_i² (Peng et
+    al. 2019, equation 8, where the letter σ stands for variances). `released` is what the paper's
+    code computes in its place: standard deviations where variances belong.
+    """
+    power = 2 if composition == "exact" else 1
+    precision = weight.unsqueeze(-1) * torch.exp(-power * log_std)
+    total = precision.sum(-2)
+    return (precision * mean).sum(-2) / total, -total.log() / power
+
+
+@dataclass(frozen=True)
+class MultiplicativeGaussian(SquashedGaussian):
+    """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
+
+    `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
+    Gaussian again; all else is as with one network. The primitives grow out of one trunk, whose
+    layers are `hidden`, and all K of them are one stacked product.
+
+    Args:
+        primitives: K.
+        primitive_hidden: hidden layers of each primitive, after the trunk.
+        gate_hidden: hidden layers of the gate, a network of its own.
+        gating: how weights w > 0 are made of the gate's outputs. `softmax`: they add up to 1, and
+            one primitive alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself;
+            `softplus`: each without an upper bound.
+        composition: `released` for the paper's code, see `product_of_gaussians`.
+    """
+
+    primitives: int = 4
+    primitive_hidden: tuple[int, ...] = (256,)
+    gate_hidden: tuple[int, ...] = (512, 256, 256)
+    gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
+    composition: Literal["exact", "released"] = "exact"
+
+    @property
+    def trunk(self) -> StackedMLP:
+        """What the primitives have in common."""
+        return StackedMLP((self.obs_dim, *self.hidden))
+
+    @property
+    def primitive(self) -> StackedMLP:
+        """One primitive, with 2A outputs."""
+        return StackedMLP((self.hidden[-1], *self.primitive_hidden, 2 * self.action_dim))
+
+    @property
+    def gate(self) -> StackedMLP:
+        """The gate's network, with K outputs."""
+        return StackedMLP((self.obs_dim, *self.gate_hidden, self.primitives))
+
+    @property
+    def num_params(self) -> int:
+        """P: the weights of the trunk, of each primitive, and of the gate."""
+        primitives = self.primitives * self.primitive.num_params
+        return self.trunk.num_params + primitives + self.gate.num_params
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw the weights of a population."""
+        nets = self.trunk, *[self.primitive] * self.primitives, self.gate
+        return torch.cat([net.init(streams) for net in nets], 1)
+
+    def split(
+        self, params: Float[Tensor, "S P"]
+    ) -> tuple[Float[Tensor, "S _"], Float[Tensor, "S K _"], Float[Tensor, "S _"]]:
+        """Return the weights of the trunk, of each primitive, and of the gate."""
+        of_trunk, of_gate = self.trunk.num_params, self.gate.num_params
+        trunk, primitives, gate = params.tensor_split([of_trunk, self.num_params - of_gate], 1)
+        return trunk, primitives.unflatten(1, (self.primitives, -1)), gate
+
+    def with_fixed_primitives(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S P"]:
+        """Return the same weights, of which only the gate's have a gradient."""
+        *primitives, gate = self.split(params)
+        return torch.cat([*(part.detach().flatten(1) for part in primitives), gate], 1)
+
+    def parts(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B K A"], Float[Tensor, "S B K A"], Float[Tensor, "S B K"]]:
+        """Return each primitive's μ and log σ, and its weight."""
+        trunk, primitives, gate = self.split(params)
+        features = torch.relu(self.trunk(trunk, obs))
+        each = features.repeat_interleave(self.primitives, 0)  # S·K networks, one stack
+        outputs = self.primitive(primitives.flatten(0, 1), each)
+        outputs = outputs.unflatten(0, (-1, self.primitives)).transpose(1, 2)
+        mean, raw = outputs.chunk(2, -1)
+        logits = self.gate(gate, obs)
+        match self.gating:
+            case "softmax":
+                weight = torch.softmax(logits, -1)
+            case "sigmoid":
+                weight = torch.sigmoid(logits)
+            case "softplus":
+                weight = softplus(logits)
+        return mean, self._log_std(raw), weight
+
+    def distribution(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+        """Return μ and log σ of `pre_tanh`, σ no wider or narrower than a primitive's may be."""
+        mean, log_std = product_of_gaussians(*self.parts(params, obs), self.composition)
+        return mean, log_std.clamp(*self.log_std_range)
+
+
+@dataclass(frozen=True)
+class Deterministic:
+    """TD3's actor: a = tanh(μ(s)), and Gaussian noise on the action to explore.
+
+    Args:
+        obs_dim: O.
+        action_dim: A.
+        hidden: hidden layers.
+        noise_std: standard deviation of the exploration noise, in units of the action.
+    """
+
+    obs_dim: int
+    action_dim: int
+    hidden: tuple[int, ...]
+    noise_std: float = 0.1
+
+    @property
+    def net(self) -> StackedMLP:
+        """The network, with A outputs."""
+        return StackedMLP((self.obs_dim, *self.hidden, self.action_dim))
+
+    @property
+    def num_params(self) -> int:
+        """P."""
+        return self.net.num_params
+
+    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+        """Draw the weights of a population."""
+        return self.net.init(streams)
+
+    def explore(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        noise: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "S B A"]:
+        """Return `pre_tanh` of the action with noise on it; clipped, it has no density."""
+        return unsquash(self.mode(params, obs) + self.noise_std * noise)
+
+    def mode(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> Float[Tensor, "S B A"]:
+        """Return the action tanh(μ(s)), which evaluations use."""
+        return torch.tanh(self.net(params, obs))
+
+
+Actor = SquashedGaussian | MultiplicativeGaussian | Deterministic
+_ACTORS = {
+    kind.__name__: kind for kind in (SquashedGaussian, MultiplicativeGaussian, Deterministic)
+}
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A population of actors with their weights: all that is needed to act.
+
+    Args:
+        env_id: the task it was trained on.
+        actor: the architecture.
+        params: its weights.
+        normaliser: how it scales observations.
+    """
+
+    env_id: str
+    actor: Actor
+    params: Float[Tensor, "S P"]
+    normaliser: Normaliser
+
+    def __len__(self) -> int:
+        return len(self.params)
+
+    def member(self, *index: int) -> "Policy":
+        """Return the population of these members alone."""
+        params, normaliser = self.params[list(index)], self.normaliser.member(*index)
+        return replace(self, params=params, normaliser=normaliser)
+
+    def to(self, device: str | torch.device) -> "Policy":
+        """Return the same policies on a device."""
+        params, normaliser = self.params.to(device), self.normaliser.to(device)
+        return replace(self, params=params, normaliser=normaliser)
+
+    @torch.no_grad()
+    def act(
+        self, obs: Float[Tensor, "S B O"], noise: Float[Tensor, "S B A"] | None = None
+    ) -> Float[Tensor, "S B A"]:
+        """Return actions in [-1, 1]: the mode, or a sample where `noise` is given."""
+        obs = self.normaliser(obs)
+        if noise is None:
+            return self.actor.mode(self.params, obs)
+        return torch.tanh(self.actor.explore(self.params, obs, noise))
+
+    def save(self, path: str | PathLike) -> None:
+        """Write the population to a safetensors file."""
+        actor = {"name": type(self.actor).__name__, **asdict(self.actor)}
+        save_weights(
+            path,
+            {"params": self.params, "mean": self.normaliser.mean, "std": self.normaliser.std},
+            {"kind": "policy", "env_id": self.env_id, "actor": actor},
+        )
+
+    @classmethod
+    def load(cls, path: str | PathLike) -> "Policy":
+        """Read a population written by `save`.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the file holds something else, or weights of another shape.
+        """
+        tensors, about = load_weights(path, "policy")
+        shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
+        actor = _ACTORS[shape.pop("name")](**shape)
+        params = tensors["params"].float()  # Shipped experts' may be in half precision.
+        if params.shape[1:] != (actor.num_params,):
+            raise ValueError(
+                f"{path}: weights {tuple(params.shape)}, expected (S, {actor.num_params})"
+            )
+        return cls(about["env_id"], actor, params, Normaliser(tensors["mean"], tensors["std"]))

@@ -1,0 +1,200 @@
+"""Proximal policy optimisation (Schulman et al. 2017), for a population.
+
+The on-policy generator, as GAIL and the first AIRL had one: it learns from the steps that the
+present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
+so that log π is the same thing for the discriminator whoever trains the policy. Losses are summed
+over members and averaged over the batch, so that members do not influence one another.
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from offairl_lite.config import Config
+from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, optimizer_states
+from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Streams
+
+CLIP = 0.2
+"""How far the ratio of new to old density may move before it stops to pay."""
+
+GAE_DECAY = 0.95
+"""λ of generalised advantage estimation."""
+
+FIRST_SCALE = 0.01
+"""Factor on the actor's last layer when it is drawn, so that the first actions have no preference
+(Andrychowicz et al. 2021, section 3.2)."""
+
+
+def episode_ends(
+    obs: Float[Tensor, "S T O"], next_obs: Float[Tensor, "S T O"]
+) -> Bool[Tensor, "S T"]:
+    """Tell which steps are the last ones known of an episode: the next begins somewhere else.
+
+    A reset to the very observation where an episode was cut off goes unnoticed, and may: what
+    follows is then a sample of what could have followed.
+    """
+    ends = (next_obs[:, :-1] != obs[:, 1:]).any(-1)
+    return torch.nn.functional.pad(ends, (0, 1), value=True)
+
+
+def gae(
+    reward: Float[Tensor, "S T"],
+    value: Float[Tensor, "S T"],
+    next_value: Float[Tensor, "S T"],
+    terminated: Float[Tensor, "S T"],
+    ends: Bool[Tensor, "S T"],
+    discount: float,
+    decay: float,
+) -> Float[Tensor, "S T"]:
+    r"""Return advantages $A_t = \sum_k (\gamma \lambda)^k \delta_{t + k}$ to the episode's end.
+
+    With $\delta = r + \gamma (1 - \text{terminated}) V(s') - V(s)$ (Schulman et al. 2016, equation
+    16). A termination has no next value. A time limit and the end of the block have one.
+    """
+    delta = reward + discount * (1 - terminated) * next_value - value
+    goes_on = discount * decay * (1 - torch.maximum(terminated, ends.to(terminated)))
+    advantage, after = torch.empty_like(delta), torch.zeros_like(delta[:, 0])
+    for t in reversed(range(delta.shape[1])):
+        after = advantage[:, t] = delta[:, t] + goes_on[:, t] * after
+    return advantage
+
+
+def clipped_surrogate(
+    log_prob: Float[Tensor, "S B"],
+    old_log_prob: Float[Tensor, "S B"],
+    advantage: Float[Tensor, "S B"],
+    clip: float,
+) -> Float[Tensor, ""]:
+    """Return -E min(ρ A, clip(ρ, 1 ± ε) A), ρ = π / π_old (Schulman et al. 2017, equation 7)."""
+    ratio = torch.exp(log_prob - old_log_prob)
+    clipped = ratio.clamp(1 - clip, 1 + clip)
+    return -torch.minimum(ratio * advantage, clipped * advantage).mean(-1).sum()
+
+
+def value_loss(value: Float[Tensor, "S B"], target: Float[Tensor, "S B"]) -> Float[Tensor, ""]:
+    """Return E (V - y)²."""
+    return (value - target).square().mean(-1).sum()
+
+
+class Rollout(NamedTuple):
+    """Steps of the present policy, with all that they teach."""
+
+    obs: Float[Tensor, "S B O"]
+    pre_tanh: Float[Tensor, "S B A"]
+    log_prob: Float[Tensor, "S B"]
+    advantage: Float[Tensor, "S B"]
+    target: Float[Tensor, "S B"]
+
+    def rows(self, index: Int[Tensor, "S M"]) -> "Rollout":
+        """Return some steps of each member."""
+        members = torch.arange(len(index), device=index.device).unsqueeze(1)
+        return Rollout(*(part[members, index] for part in self))
+
+
+class PPO:
+    """Actor and value network of `S` members.
+
+    Args:
+        config: hyper-parameters; `temperature` is the weight of the entropy.
+        obs_dim: O.
+        action_dim: A.
+        streams: for the initial weights.
+        normaliser: scales every observation that comes in.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        obs_dim: int,
+        action_dim: int,
+        streams: Streams,
+        normaliser: Normaliser,
+    ) -> None:
+        self.config, self.normaliser = config, normaliser
+        self.actor = SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
+        self.critic = StackedMLP((obs_dim, *config.hidden, 1))
+        self.actor_params = self.actor.init(streams)
+        self.critic_params = self.critic.init(streams)
+        for last in self.actor.net.layers(self.actor_params)[-1]:
+            last *= FIRST_SCALE
+        self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
+        self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
+        self.step = self._step
+        """One update. A faster form of it may take its place."""
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Everything that updates change: the tensors themselves."""
+        return optimizer_states({"actor": self.actor_optimizer, "critic": self.critic_optimizer})
+
+    @property
+    def policy(self) -> Policy:
+        """The actor as it is now; later updates do not change it."""
+        params = self.actor_params.detach().clone()
+        return Policy(self.config.env_id, self.actor, params, self.normaliser)
+
+    @torch.no_grad()
+    def log_prob(
+        self, batch: Batch, actor_params: Float[Tensor, "S P"] | None = None
+    ) -> Float[Tensor, "S B"]:
+        """Return log π(a|s) of the batch's actions, under the current actor or under another."""
+        params = self.actor_params if actor_params is None else actor_params
+        obs = self.normaliser(batch.obs)
+        return self.actor.log_prob(params, obs, batch.pre_tanh, self.config.log_density)
+
+    @torch.no_grad()
+    def rollout(self, block: Batch, reward: Float[Tensor, "S T"]) -> Rollout:
+        """Work out what a block teaches.
+
+        Args:
+            block: the last steps, in the order in which the present policy took them.
+            reward: what to maximise.
+
+        Returns:
+            The block with log π as it is now, advantages of mean 0 and spread 1, and targets of
+            the value network, A + V.
+        """
+        obs, next_obs = self.normaliser(block.obs), self.normaliser(block.next_obs)
+        value, next_value = (
+            self.critic(self.critic_params, x).squeeze(-1) for x in (obs, next_obs)
+        )
+        ends = episode_ends(block.obs, block.next_obs)
+        discount = self.config.discount
+        advantage = gae(reward, value, next_value, block.terminated, ends, discount, GAE_DECAY)
+        mean, std = advantage.mean(1, keepdim=True), advantage.std(1, keepdim=True)
+        log_prob = self.actor.log_prob(self.actor_params, obs, block.pre_tanh)
+        scaled = (advantage - mean) / (std + 1e-8)
+        return Rollout(obs, block.pre_tanh, log_prob, scaled, advantage + value)
+
+    def update(
+        self, minibatch: Rollout, noise: Float[Tensor, "S B A"]
+    ) -> dict[str, Float[Tensor, "S"]]:
+        """Take one step with the actor and one with the value network.
+
+        Args:
+            minibatch: some steps of the last `rollout`.
+            noise: standard normal, for the actions at which the entropy is estimated.
+
+        Returns:
+            Losses and diagnostics of each member.
+        """
+        return self.step(minibatch, noise)
+
+    def _step(
+        self, minibatch: Rollout, noise: Float[Tensor, "S B A"]
+    ) -> dict[str, Float[Tensor, "S"]]:
+        obs, pre_tanh, old_log_prob, advantage, target = minibatch
+        log_prob = self.actor.log_prob(self.actor_params, obs, pre_tanh)
+        entropy = -self.actor.sample(self.actor_params, obs, noise)[1].mean(-1)
+        surrogate = clipped_surrogate(log_prob, old_log_prob, advantage, CLIP)
+        descend(surrogate - self.config.temperature * entropy.sum(), self.actor_optimizer)
+        value = self.critic(self.critic_params, obs).squeeze(-1)
+        descend(value_loss(value, target), self.critic_optimizer)
+        return {
+            "critic_loss": (value.detach() - target).square().mean(-1),
+            "q": value.detach().mean(-1),
+        }

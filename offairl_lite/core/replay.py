@@ -1,0 +1,179 @@
+"""Transitions, and the replay buffer of a population."""
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from offairl_lite.core.rng import Streams
+
+
+class Batch(NamedTuple):
+    """Transitions; the leading axes are usually `S B`.
+
+    `terminated` is 1 where the task ended for good. A time limit is no termination: the next
+    observation still has a value, and a learner must go on counting on it.
+    """
+
+    obs: Float[Tensor, "*batch O"]
+    pre_tanh: Float[Tensor, "*batch A"]
+    next_obs: Float[Tensor, "*batch O"]
+    reward: Float[Tensor, "*batch"]
+    terminated: Float[Tensor, "*batch"]
+
+    def split(self, size: int) -> list["Batch"]:
+        """Cut the second axis into minibatches of `size`, which are views."""
+        return [Batch(*parts) for parts in zip(*(x.split(size, 1) for x in self), strict=True)]
+
+    @property
+    def action(self) -> Float[Tensor, "*batch A"]:
+        """The actions, in [-1, 1]."""
+        return torch.tanh(self.pre_tanh)
+
+
+def pack(batch: Batch) -> Float[Tensor, "*batch D"]:
+    """Lay transitions out as rows, so that a minibatch is one gather."""
+    return torch.cat([*batch[:3], batch.reward.unsqueeze(-1), batch.terminated.unsqueeze(-1)], -1)
+
+
+def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
+    """Undo `pack`; the parts are views."""
+    action_dim = rows.shape[-1] - 2 * obs_dim - 2
+    obs, pre_tanh, next_obs, reward, terminated = rows.split(
+        [obs_dim, action_dim, obs_dim, 1, 1], -1
+    )
+    return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
+
+
+def choose(
+    streams: Streams, rows: Sequence[int], count: int, horizon: int = 1
+) -> Int[Tensor, "S _"]:
+    """Draw `count` of each member's `rows`: with a horizon, episodes of so many rows each."""
+    episode = streams.integers([n // horizon for n in rows], count // horizon)
+    steps = torch.arange(horizon, device=streams.device)
+    return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
+
+
+class Replay:
+    """The last `capacity` transitions of each member.
+
+    Members fill at their own pace: an episode that terminates may add rows (see `absorbing`). Rows
+    stay in main memory, or in a file that is mapped into it; samples go to the learners' device.
+
+    Args:
+        population: S.
+        capacity: rows a member.
+        obs_dim: O.
+        action_dim: A.
+        device: where samples are wanted.
+        file: where the rows live, if not in memory alone: as they are if it exists, else new.
+        slots: places for a member's rows, `capacity` or more: until a row's place is needed again,
+            a replay that is put back by some steps still finds it.
+    """
+
+    def __init__(
+        self,
+        population: int,
+        capacity: int,
+        obs_dim: int,
+        action_dim: int,
+        device: str | torch.device = "cpu",
+        *,
+        file: Path | None = None,
+        slots: int | None = None,
+    ) -> None:
+        self.obs_dim, self.capacity, self.device = obs_dim, capacity, torch.device(device)
+        shape = (slots or capacity, population, 2 * obs_dim + action_dim + 2)
+        self._map = None if file is None else _mapped(file, shape)
+        rows = torch.zeros(shape) if self._map is None else torch.from_numpy(self._map)
+        self.rows: Float[Tensor, "N S D"] = rows
+        self.added = torch.zeros(population, dtype=torch.long)
+        self._everyone = torch.arange(population)
+
+    @property
+    def sizes(self) -> list[int]:
+        """Transitions held for each member."""
+        return self.added.clamp(max=self.capacity).tolist()
+
+    def add(self, batch: Batch, members: Int[Tensor, "M"] | None = None) -> None:
+        """Add one transition for each member, or for each of `members`, axes `M`.
+
+        Raises:
+            ValueError: the shapes are not those of the buffer.
+        """
+        rows = pack(batch)
+        slots, _, width = self.rows.shape
+        members = self._everyone if members is None else members
+        if rows.shape != (len(members), width):
+            raise ValueError(
+                f"transitions pack to {tuple(rows.shape)}; this buffer takes "
+                f"{(len(members), width)} (members, 2 obs + action + 2)"
+            )
+        self.rows[self.added[members] % slots, members] = rows.to(self.rows)
+        self.added[members] += 1
+
+    def held(self, member: int) -> Batch:
+        """Return all that is held for one member, oldest first, axes `N`."""
+        slots, added = len(self.rows), int(self.added[member])
+        index = torch.arange(added - self.sizes[member], added) % slots
+        return unpack(self.rows[index, member].to(self.device), self.obs_dim)
+
+    def last(self, count: int) -> Batch:
+        """Return the last `count` transitions of each member, oldest first: axes `S count`.
+
+        Raises:
+            ValueError: a member has fewer.
+        """
+        if min(self.sizes) < count:
+            raise ValueError(f"the last {count} transitions are wanted; held are {self.sizes}")
+        slot = (self.added.unsqueeze(1) - count + torch.arange(count)) % len(self.rows)
+        rows = self.rows[slot, self._everyone.unsqueeze(1)]
+        return unpack(rows.to(self.device), self.obs_dim)
+
+    def sample(self, streams: Streams, count: int, horizon: int = 1) -> Batch:
+        """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
+
+        Args:
+            streams: for the choice.
+            count: how many, a multiple of `horizon`.
+            horizon: how many in succession, see `choose`.
+
+        Raises:
+            ValueError: a member has not even one run of `horizon` transitions yet.
+        """
+        sizes, (slots, population, width) = self.sizes, self.rows.shape
+        if min(sizes) < horizon:
+            raise ValueError(
+                f"a member's replay is empty (sizes {sizes}) or has no whole episode: add to it"
+            )
+        oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
+        slot = (oldest + choose(streams, sizes, count, horizon).cpu()) % slots
+        # One gather for all members.
+        index = slot * population + self._everyone.unsqueeze(1)
+        rows = self.rows.view(-1, width).index_select(0, index.flatten())
+        return unpack(rows.view(population, count, width).to(self.device), self.obs_dim)
+
+    def flush(self) -> None:
+        """Have what was added reach the disk."""
+        if self._map is not None:
+            self._map.flush()
+
+
+def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
+    """Map a file of rows, which is made, or lengthened with zeros, to hold `shape`."""
+    size = 4 * math.prod(shape)
+    with open(file, "ab") as stream:
+        missing = size - stream.tell()
+        if missing > 0 and hasattr(os, "posix_fallocate"):
+            # The room is taken now: a mapped page that finds no room later kills the process.
+            os.posix_fallocate(stream.fileno(), size - missing, missing)
+        elif missing > 0:
+            for start in range(0, missing, 2**24):
+                stream.write(bytes(min(2**24, missing - start)))
+    return np.memmap(file, np.float32, "r+", shape=shape)

@@ -1,0 +1,196 @@
+"""Whole episodes of a fixed policy."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from offairl_lite import envs
+from offairl_lite.core.absorbing import fit
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.rng import Streams
+
+LONGEST = 20_000
+"""Steps by which an episode must end where the task has no time limit."""
+
+
+class NotFiniteError(ValueError):
+    """A task gave an observation or a reward that is not finite, to some `members`."""
+
+    def __init__(self, env_id: str, members: Sequence[int]) -> None:
+        super().__init__(f"an observation or reward of {env_id} is not finite: mend it")
+        self.members = members
+
+
+class Episodes(NamedTuple):
+    """Episodes of each member, side by side; after its end an episode is padded with zeros."""
+
+    obs: Float[np.ndarray, "S E T O"]
+    action: Float[np.ndarray, "S E T A"]
+    next_obs: Float[np.ndarray, "S E T O"]
+    reward: Float[np.ndarray, "S E T"]
+    terminated: Bool[np.ndarray, "S E"]
+    running: Bool[np.ndarray, "S E T"]
+
+    @property
+    def returns(self) -> Float[np.ndarray, "S E"]:
+        """Undiscounted sums of the task's reward."""
+        return self.reward.sum(-1)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Steps of each episode, `(S, E)`."""
+        return self.running.sum(-1)
+
+
+def episode_seeds(
+    seeds: Sequence[int], episodes: int, purpose: int = 0, first: int = 0
+) -> list[int]:
+    """Derive a seed for every episode of every member, `S * episodes`, in that order.
+
+    They depend on the member's own seed and on `purpose`, which keeps the episodes of, say, an
+    evaluation apart from those of a data set. `first` is the number of the first episode.
+    """
+    return [
+        int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
+        for seed in seeds
+        for episode in range(first, first + episodes)
+    ]
+
+
+def seen(policy: Policy, obs: Float[Tensor, "*axes O"]) -> Float[Tensor, "*axes O+1"]:
+    """Return a task's observations as a policy sees them, which may know of an absorbing state.
+
+    Raises:
+        ValueError: they are of another size.
+    """
+    return fit(obs, policy.actor.obs_dim, f"the policy of {policy.env_id}")
+
+
+def require_actions(policy: Policy, space: Box) -> None:
+    """Raise ValueError if a policy gives another number of actions than a task takes."""
+    if space.shape != (policy.actor.action_dim,):
+        raise ValueError(
+            f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers, and actions "
+            f"have the shape {space.shape}: choose a task with as many actions"
+        )
+
+
+def require_fit(policy: Policy, env: VectorEnv) -> None:
+    """Raise ValueError if a policy sees or gives other numbers than an environment has."""
+    seen(policy, torch.zeros(env.single_observation_space.shape))
+    require_actions(policy, env.single_action_space)
+
+
+@torch.no_grad()
+def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.ndarray, "A"]:
+    """Return what a one-member policy does: its mode, in the units of the task.
+
+    Args:
+        policy: one member; take it with `policy.member(i)`.
+        obs: an observation, as the task itself gives it.
+        space: of the task's actions, `env.action_space`, whose bounds a policy knows as -1 and 1.
+
+    Raises:
+        ValueError: the policy has more than one member, or sees or does something of another size.
+    """
+    if len(policy) != 1:
+        raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
+    require_actions(policy, space)
+    x = torch.as_tensor(obs, dtype=torch.float32, device=policy.params.device)
+    unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
+    scaled = (space.low + (unit + 1) / 2 * (space.high - space.low)).astype(space.dtype)
+    return np.clip(scaled, space.low, space.high)  # which rounding may leave
+
+
+def rollout(
+    policy: Policy,
+    env_id: str,
+    seeds: Sequence[int],
+    episodes: int,
+    *,
+    sample: bool = False,
+    purpose: int = 0,
+    first: int = 0,
+    num_threads: int = 1,
+) -> Episodes:
+    """Run whole episodes with each member of a policy.
+
+    Args:
+        policy: S members.
+        env_id: the task, not necessarily the one the policy was trained on.
+        seeds: one for each member; the same seeds give the same episodes.
+        episodes: how many for each member, all at the same time.
+        sample: whether to sample actions; otherwise the mode is taken.
+        purpose: see `episode_seeds`.
+        first: number of the first episode; the seeds of earlier ones are left out.
+        num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
+
+    Raises:
+        NotFiniteError: an observation or a reward of the task is not finite.
+        ValueError: seeds and members are not equally many, the policy sees or gives other numbers
+            than the task has, or an episode of a task without a time limit does not end.
+    """
+    if len(seeds) != len(policy):
+        raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
+    population = len(policy)
+    each = episode_seeds(seeds, episodes, purpose, first)
+    env = envs.make(env_id, population * episodes, each, num_threads=num_threads)
+    action_dim = env.single_action_space.shape[0]
+    device = policy.params.device
+    # A stream for each episode: its noise is the same however many episodes there are.
+    streams = Streams(each, device)
+    obs, _ = env.reset()
+    running = np.ones(population * episodes, bool)
+    ended = np.zeros_like(running)
+    steps = []
+    spec = env.unwrapped.spec  # The package's own tasks, which all have a limit, have none.
+    limit = (spec and spec.max_episode_steps) or LONGEST
+    with _torch_threads(num_threads), closing(env):
+        require_fit(policy, env)
+        while running.any():
+            if len(steps) == limit:
+                raise ValueError(
+                    f"an episode of {env_id} has not ended after {limit:,} steps: give the task a "
+                    "time limit, gymnasium.register(..., max_episode_steps=1000)"
+                )
+            x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
+            x = x.view(population, episodes, -1)
+            noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
+            action = policy.act(x, noise).view(-1, action_dim).cpu().numpy()
+            next_obs, reward, terminated, truncated, _ = env.step(action)
+            broken = running & ~(np.isfinite(next_obs).all(1) & np.isfinite(reward))
+            if broken.any():
+                raise NotFiniteError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
+            steps.append((obs, action, next_obs, reward, running))
+            ended |= running & terminated
+            done = terminated | truncated
+            running = running & ~done
+            obs = next_obs
+            if done.any():
+                obs, _ = env.reset(options={"reset_mask": done})
+
+    columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
+    obs, action, next_obs, reward, alive = (
+        column.reshape(population, episodes, *column.shape[1:]) for column in columns
+    )
+    mask = alive[..., None]
+    ended = ended.reshape(population, episodes)
+    return Episodes(obs * mask, action * mask, next_obs * mask, reward * alive, ended, alive)
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    """PyTorch with so many threads, and then with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

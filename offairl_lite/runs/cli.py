@@ -1,0 +1,411 @@
+"""The command line, `offairl`: one function for each of its commands."""
+
+import shutil
+import signal
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Literal
+
+import gymnasium
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional
+
+from offairl_lite import demonstrations, scale
+from offairl_lite.runs import jobs, tensorboard as logs, provenance, records, folders as runs, sweep
+from offairl_lite.analysis import films as video
+from offairl_lite.runs.bench import Options, estimate, measure, table
+from offairl_lite.config import Config
+from offairl_lite.core.acceleration import Execution, is_large
+from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.core.policies import Policy
+from offairl_lite.scale import Scale
+
+
+def list_experiments(name: Positional[str | None] = None, *, times: bool = False) -> None:
+    """Show the experiments, and the tasks for which experts are shipped.
+
+    Args:
+        name: of the only experiment to show.
+        times: try each for a moment, minutes in all, and say how long a run of it takes about, here
+            and on one core, not compiled. Of those that are several runs it is the first.
+    """
+    print("Experiments (offairl run NAME):")
+    shown = EXPERIMENTS if name is None else {name: find(name)}
+    for title, experiment in shown.items():
+        print(f"  {title:16} {experiment.about}")
+        for size, config in experiment.configs.items():
+            seeds = len(experiment.seeds[size])
+            runs_of_it = [replace(config, **c) for c in experiment.variants.values()] or [config]
+            about = f", {_words(estimate(runs_of_it[0], seeds))}" if times else ""
+            tasks = ", ".join(dict.fromkeys(run.env_id for run in runs_of_it))
+            about = f"{size}: {tasks}, {config.total_steps:,} steps, {seeds} seeds{about}"
+            lines = textwrap.wrap(about, 78, break_on_hyphens=False)
+            print(*(f"  {'':16}   {line}" for line in lines), sep="\n")
+        if experiment.variants:
+            names = textwrap.wrap(" ".join(experiment.variants), 78, break_on_hyphens=False)
+            print(
+                *(f"  {'':16}   {line}" for line in ["--only some of these runs:", *names]),
+                sep="\n",
+            )
+    if name is not None:
+        return
+    print("\nExperts (offairl demos ENV_ID):")
+    for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
+        policy = Policy.load(path)
+        print(f"  {policy.env_id:26} {len(policy)} policies")
+
+
+def _words(seconds: float) -> str:
+    """Return a duration, roughly, in words."""
+    for unit, size in (("days", 86_400), ("hours", 3_600), ("minutes", 60)):
+        if seconds >= 2 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} seconds"
+
+
+def demos(
+    env_id: Positional[str],
+    *,
+    trajectories: int = 50,
+    dataset: str | None = None,
+    experts: int | None = None,
+    policy: str | None = None,
+) -> None:
+    """Make demonstrations of a task where there are none yet, check them, and say what they are.
+
+    They are those of the shipped experts, a data set of your own that is there already, or a new
+    one of the episodes of a policy: `offairl demos ENV_ID --policy RUN --dataset own/trained-v0`.
+
+    Args:
+        env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
+        trajectories: how many episodes.
+        dataset: a Minari data set of your own, to check against the task; with --policy the name
+            of a new one.
+        experts: of how many of the shipped experts; by default of all.
+        policy: a run's folder, or a policy's file, to make the data set of: all members take
+            turns, and actions are sampled.
+    """
+    if dataset is not None and experts is not None:
+        raise ValueError(
+            f"--experts {experts} would not be used, since {dataset} is by none of the shipped "
+            "ones: leave it out"
+        )
+    if policy is not None:
+        if dataset is None:
+            raise ValueError(
+                f"--policy {policy} makes a data set, which needs a name: add --dataset "
+                "own/trained-v0, or another that is new"
+            )
+        demonstrations.generate(_policy(policy), env_id, trajectories, dataset)
+    data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
+    returns = data.returns
+    print(
+        f"{env_id}: {len(data)} trajectories, {sum(data.lengths):,} steps, return "
+        f"{returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
+    )
+
+
+def watch(
+    what: Positional[str],
+    *,
+    env_id: str | None = None,
+    member: int = 0,
+    seed: int = 0,
+    max_steps: int = 200,
+    out: Path = Path("film.mp4"),
+) -> None:
+    """Film one episode of a policy.
+
+    Args:
+        what: a run's folder, a policy's file, or the id of a task with shipped experts.
+        env_id: where the policy acts; by default where it was trained.
+        member: which member of the population.
+        seed: of the episode.
+        max_steps: where to stop at the latest.
+        out: the MP4 file to write, in a folder that may be new.
+    """
+    if out.suffix != ".mp4":
+        raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
+    policy = _policy(what)
+    if not 0 <= member < len(policy):
+        raise ValueError(f"member is {member}; {what} has members 0 to {len(policy) - 1}")
+    # Before the film is made, which takes longer than it takes to learn that it has no place.
+    out.parent.mkdir(parents=True, exist_ok=True)
+    pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
+    out.write_bytes(video.mp4(pictures))
+    print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+
+
+def _policy(what: str) -> Policy:
+    """Return the policy of a run, of a file, or of a task with shipped experts.
+
+    Raises:
+        FileNotFoundError: it is none of them, or a run that has not ended.
+        ValueError: the file holds something else.
+    """
+    path = Path(what)
+    if path.is_dir():
+        path /= "policy.safetensors"
+        if not path.is_file() and not path.with_name("config.json").is_file():
+            raise FileNotFoundError(f"{what} is not a run's folder: it has no config.json")
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{what} has no policy.safetensors, which is written at the end of the run: "
+                f"`offairl resume {what}` goes on to it (not every record keeps its own)"
+            )
+    if path.is_file() or path.suffix == ".safetensors":
+        return Policy.load(path)
+    # A folder's name may end like a task's: runs/Hopper is not Hopper-v5.
+    if what not in gymnasium.registry:
+        raise FileNotFoundError(
+            f"there is no run or policy file {what}, and no expert is shipped for {what}: "
+            "`offairl list` names the tasks with experts, and `ls runs` your runs"
+        )
+    return demonstrations.expert(what)
+
+
+def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool = False) -> None:
+    """Write the curves of a run for TensorBoard; any run, also one that is recorded.
+
+    Args:
+        run: its folder.
+        out: the folder for the event files, a new one; by default RUN/tensorboard, anew.
+        follow: go on writing until the run has ended; one that was killed may be resumed.
+    """
+    folder = out or run / "tensorboard"
+    if out is None and folder.is_dir():
+        shutil.rmtree(folder)  # Written by this command, before the run went on.
+    count = logs.export(run, folder, follow)
+    print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
+
+
+def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
+    """Do the beginning of a recorded run again, and compare.
+
+    On the machine that made the record, with the same versions, the numbers are the same to the
+    last digit. Elsewhere training, which magnifies the smallest differences, comes out otherwise.
+    What the run had of other runs is looked for in the record, then in the files that its
+    config.json names.
+
+    Args:
+        record: its folder.
+        evaluations: how many to do again, from the first one on.
+    """
+    pairs = runs.verify(record, evaluations, sys.stderr.isatty())
+    print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
+    for old, new in pairs:
+        one = old or new
+        means = (f"{row.mean_return:.4f}" if row else "diverged" for row in (old, new))
+        print(f"{one.seed:5} {one.step:9,}", *(f"{mean:>12}" for mean in means))
+    if all(old and new and old.returns == new.returns for old, new in pairs):
+        return print("the same, every return of every episode")
+    then, now = records.read_json(record / "run.json"), provenance.origin(Execution())
+    cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
+    changed = [
+        f"{key}: {was}, here {here}{cures.get(key, '')}"
+        for key, (was, here) in provenance.changed(then, now).items()
+    ]
+    raise ValueError("; ".join([f"{record} comes out otherwise here", *changed]))
+
+
+def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
+    """Measure how fast this machine trains, beside what is aimed at: five to ten minutes.
+
+    Args:
+        options: what to measure.
+        json: print numbers for a program instead of a table.
+    """
+    report = measure(options)
+    print(dumps(report, indent=2) if json else table(report))
+
+
+def _run_command(name: str, size: Scale):
+    """Return `offairl run`, with the defaults of one experiment at one scale."""
+    experiment = find(name)
+
+    def run(
+        experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
+        *,
+        scale: Scale = size,
+        seeds: tuple[int, ...] = experiment.seeds[size],
+        out: Path | None = None,
+        given: Annotated[sweep.Given, OmitArgPrefixes] = sweep.Given(  # noqa: B008
+            experts=experiment.experts[size]
+        ),
+        processes: int | None = None,
+        config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
+    ) -> None:
+        """Run an experiment, and record it in a folder of its own, from which it can be resumed.
+
+        Args:
+            experiment: its name; the defaults below are this experiment's at this scale.
+            scale: demo takes minutes, full is the paper's protocol.
+            seeds: one member of the population for each.
+            out: the folder to write; by default runs/EXPERIMENT-SCALE.
+            given: what it is given beside its configuration.
+            processes: that share the members; by default one, or for large networks one a core.
+            config: everything else.
+        """
+        sweep.require_defaults(experiment, scale, name, size)
+        if (
+            config.reward == "frozen"
+            and not given.frozen
+            and (source := find(experiment).reward_from)
+        ):
+            raise ValueError(
+                f"{experiment} is paid by the reward of another run: first `offairl run "
+                f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
+            )
+        given.require_use([config], find(experiment).experts[scale])
+        inherited = runs.inherit(config, seeds, **given.files)
+        data = given.demonstrations(config.env_id) if config.learns_reward else None
+        if processes is None:
+            one_a_core = is_large(config) and given.device == "cpu"
+            processes = min(jobs.cores(), len(seeds)) if one_a_core else 1
+        if processes < 1:
+            raise ValueError(f"processes is {processes}; expected at least 1")
+        execution = given.execution(config)
+        folder = out or Path("runs") / f"{experiment}-{scale}"
+        needed = runs.create(
+            folder,
+            config,
+            seeds,
+            execution=execution,
+            demonstrations=data,
+            **inherited,
+            sources=given.files,
+            experiment=experiment,
+            scale=scale,
+            shards=processes,
+        )
+        updates = "compiled" if execution.compile else "not compiled"
+        print(
+            f"{folder} takes up to {needed} of disk, mostly replay; processes: {processes}, "
+            f"updates: {updates}"
+        )
+        _work(folder, processes, data)
+        if data is not None:
+            print(f"demonstrations: {data.returns.mean():.2f}")
+
+    return run
+
+
+def resume(
+    folder: Positional[Path],
+    *,
+    steps: int | None = None,
+    seeds: tuple[int, ...] = (),
+    members: tuple[int, ...] = (),
+    processes: int | None = None,
+) -> None:
+    """Go on with a run that was interrupted, or extend one that has ended.
+
+    Args:
+        folder: of the run.
+        steps: environment steps of each member, in all: more than before to extend the run.
+        seeds: members to add.
+        members: the seeds of the only shard to work on (a folder in RUN/members).
+        processes: by default one for each shard that is not finished, up to the cores.
+    """
+    if members and (steps is not None or seeds):
+        raise ValueError(
+            "--members works on one shard of a run as it is: resume first with --steps or --seeds, "
+            "and without --members"
+        )
+    if processes is not None and processes < 1:
+        raise ValueError(f"processes is {processes}; expected at least 1")
+    if steps is not None or seeds:
+        runs.extend(folder, steps, seeds)
+    if members:
+        return runs.work(folder, members, progress=sys.stderr.isatty())
+    return _work(folder, processes or jobs.cores())
+
+
+def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | None = None) -> None:
+    """Take a run to its end and show what came of it."""
+    shards = runs.unfinished(folder)
+    try:
+        if processes > 1 and len(shards) > 1:
+            todo = [job for job in jobs.of(folder) if job.members in shards]
+            if failures := jobs.execute(todo, workers=processes):
+                print(*failures, sep="\n\n", file=sys.stderr)
+                raise ChildProcessError(
+                    f"{len(failures)} of {len(todo)} shards failed, twice: see above; "
+                    f"`offairl resume {folder}` goes on with them"
+                )
+        runs.work(folder, demonstrations=data)
+    except KeyboardInterrupt:
+        sys.exit(f"offairl: stopped; `offairl resume {folder}` goes on")
+    run = records.read(folder)
+    print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
+    for row in {row.seed: row for row in run.rows}.values():
+        print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
+    print(f"recorded in {folder}")
+    if run.diverged:
+        why = "; ".join(run.diverged.values())
+        raise FloatingPointError(
+            why if shards else f"{why}. It is not tried again: start a new run"
+        )
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have SIGTERM, by which schedulers end a job, do what Ctrl-C does."""
+
+    def interrupt(number: int, _: object) -> None:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Off-policy adversarial inverse reinforcement learning, from the command line."""
+    # A task of one's own may be in a module of the working directory (`python -m` looks there).
+    sys.path.append(str(Path.cwd()))
+    # `--scale=full` is `--scale full`, also where it is looked for below.
+    args = [
+        part
+        for arg in (sys.argv[1:] if args is None else args)
+        for part in (arg.split("=", 1) if arg.startswith("--") else [arg])
+    ]
+    try:
+        # The experiment and the scale decide the defaults that --help shows, so they come first.
+        # What follows an option is its value, `--out imitate`.
+        free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
+        name = next((arg for arg in free if arg in EXPERIMENTS), "maze-imitation")
+        sizes = [after for before, after in pairwise(args) if before == "--scale"]
+        size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
+        several = sweep.subcommand(name, size, runs.create)
+        commands = {
+            "list": list_experiments,
+            "run": several if EXPERIMENTS[name].variants else _run_command(name, size),
+            "resume": resume,
+            "sweep": several,
+            "demos": demos,
+            "watch": watch,
+            "tensorboard": tensorboard,
+            "verify": verify,
+            "bench": bench,
+        }
+        with _terminable():
+            tyro.extras.subcommand_cli_from_dict(
+                commands, prog="offairl", description=main.__doc__, args=args
+            )
+    except (ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error) as error:
+        sys.exit(f"offairl: {error}")
+    except KeyboardInterrupt:
+        sys.exit("offairl: stopped")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""That the benchmark measures what it says. How fast anything is, is asserted nowhere."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import count, pairwise
+
+import pytest
+import torch
+
+from offairl_lite.core.acceleration import onednn_is_exact
+from offairl_lite.core.loop import CHUNK
+from offairl_lite.envs import TASKS
+from offairl_lite.runs import bench, cli
+from offairl_lite.runs.bench import Contestant, Options, ours
+
+QUICK = "--rounds 1 --seconds 0.02 --populations 1 2 --no-compile"
+
+
+@pytest.fixture(autouse=True)
+def same_threads():
+    """Torch keeps its number of threads."""
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def in_a_process_of_its_own(line):
+    command = [sys.executable, "-c", "from offairl_lite.runs import cli; cli.main()", "bench"]
+    done = subprocess.run([*command, *line.split()], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def report():
+    """The whole standard output of a quick run."""
+    return json.loads(in_a_process_of_its_own(f"{QUICK} --hidden 8 6 --batch-size 4 --json"))
+
+
+def test_the_json_has_everything(report):
+    assert set(report) == {
+        *("machine", "versions", "options", "updates", "steps", "environments", "processes"),
+        *("memory_mib", "targets"),
+    }
+    assert set(report["machine"]) == {"processor", "cores", "gpu"}
+    assert {"python", "torch", "offairl-lite"} <= set(report["versions"])
+    assert report["options"]["populations"] == [1, 2]
+    assert report["options"]["threads"] == 1
+    sizes = [(row["hidden"], row["batch_size"], row["population"]) for row in report["updates"]]
+    assert sizes == [([8, 6], 4, 1), ([8, 6], 4, 2), ([64, 64], 64, 1), ([64, 64], 64, 5)]
+    for row in report["updates"]:
+        assert set(row) == {
+            *("hidden", "batch_size", "population", "updates_per_s", "ms", "products_ms"),
+            *("flop", "products_flop_per_s", "products_share"),
+        }
+        # The columns are one measurement in several units; with one round, so is the share.
+        assert row["ms"] == pytest.approx(1e3 * row["population"] / row["updates_per_s"])
+        flop = row["flop"] * row["population"]
+        assert row["products_ms"] == pytest.approx(1e3 * flop / row["products_flop_per_s"])
+        assert row["products_share"] == pytest.approx(row["products_ms"] / row["ms"])
+    assert [set(row) for row in report["steps"]] == [
+        {"name", "hidden", "batch_size", "steps_per_s"}
+    ]
+    assert set(report["environments"]) == set(TASKS)
+    processes = report["processes"]
+    assert processes["ratio"] == pytest.approx(processes["two"] / processes["one"])
+    assert processes["memory_mib"] > 0
+    assert report["memory_mib"] > 0
+
+
+def test_targets_stand_beside_what_was_measured_and_nothing_else(report):
+    aims = {row["what"]: (row["sense"], row["target"]) for row in report["targets"]}
+    assert aims == {
+        "share of products, 8-6, population 1": (">=", 0.5),
+        "share of products, 8-6, population 2": (">=", 0.5),
+        "time of five members / of one, demo size": ("<=", 1.5),
+        "two processes / one": (">=", 1.9),
+    }
+    for row in report["targets"]:
+        reached = {">=": row["measured"] >= row["target"], "<=": row["measured"] <= row["target"]}
+        assert row["met"] == reached[row["sense"]]
+
+
+def test_the_table_shows_it_all(report):
+    text = bench.table(report)
+    assert max(map(len, text.splitlines())) <= 100
+    for what in ("8-6", "64-64", *TASKS, *(row["what"] for row in report["targets"])):
+        assert what in text
+    assert "Two processes with 2 members each" in text
+    assert text.count("missed") == sum(not row["met"] for row in report["targets"])
+    assert "Two processes" not in bench.table({**report, "processes": None})
+
+
+def test_the_command_prints_table_or_json(report, monkeypatch, capsys):
+    seen = []
+    monkeypatch.setattr(cli, "measure", lambda options: seen.append(options) or report)
+    cli.main(["bench", "--hidden", "32", "--rounds", "2"])
+    assert capsys.readouterr().out.strip() == bench.table(report)
+    cli.main(["bench", "--json"])
+    assert json.loads(capsys.readouterr().out) == report
+    assert seen == [Options(hidden=(32,), rounds=2), Options()]
+    assert seen[1].learners == [ours((256, 256), 100), ours((400, 300), 100)]
+
+
+def multiply(rows, *sizes):
+    """FLOP of a network's forward pass: two for each weight and row.
+
+    A layer of one unit is a sum, and no product of matrices.
+    """
+    return 2 * rows * sum(i * o for i, o in pairwise(sizes) if o > 1)
+
+
+@pytest.mark.parametrize("population", [1, 3])
+def test_the_flop_of_a_combined_update_are_those_of_its_layers(population):
+    batch, obs, action, (h, k), (r, s) = 4, 17, 6, (5, 7), (100, 100)
+    actor, critic = (obs, h, k, 2 * action), (obs + action, h, k, 1)
+    reward = shaping = (obs, r, s, 1)
+
+    def backward(rows, first, *rest, to_input=False):
+        """As much as forward for the weights, and again for what comes in, if it is asked for."""
+        by_weights, by_input = multiply(rows, first, *rest), multiply(rows, *rest)
+        return by_weights + by_input + to_input * multiply(rows, first, rest[0])
+
+    def penalty(rows, inputs, *layers):
+        """The gradient by the input, and the backward pass of that."""
+        hidden = (inputs, *layers[:-1])
+        chain_rule = multiply(rows, *hidden)
+        # Both factors of each product have a derivative; the hidden layers' outputs have one
+        # through their slopes, which goes on to the weights below.
+        return chain_rule + 2 * chain_rule + backward(rows, *hidden)
+
+    discriminator = multiply(2 * batch, *actor)  # log π of expert and policy
+    # r of both sides; V of both sides, at s and at s'.
+    for rows, net in ((2 * batch, reward), (4 * batch, shaping)):
+        discriminator += multiply(rows, *net) + backward(rows, *net)
+    # The penalty, at one point between each two, which has an s and an s'.
+    for rows, net in ((batch, reward), (2 * batch, shaping)):
+        discriminator += multiply(rows, *net) + penalty(rows, *net)
+
+    critics = multiply(batch, *actor) + 2 * multiply(batch, *critic)  # the target
+    critics += 2 * (multiply(batch, *critic) + backward(batch, *critic))
+    by_action = 2 * multiply(batch, *critic)  # critics' weights get no gradient from the actor
+    learn_actor = multiply(batch, *actor) + backward(batch, *actor)
+    learn_actor += 2 * multiply(batch, *critic) + by_action
+    sac = multiply(batch, *reward) + critics + learn_actor / 2  # every second time
+
+    torch.set_num_threads(1)
+    onednn_is_exact.cache_clear()  # the product by which that is found out is none of the update's
+    products = bench.our_products(Options(), ours((h, k), batch), population)
+    assert products.amount / (CHUNK * population) == discriminator + sac
+    assert products.turn(0) > 0
+
+
+def test_a_turn_lasts_and_a_ratio_is_that_of_its_round(monkeypatch):
+    clock = iter(range(100))
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: float(next(clock)))
+    one, other = Contestant(lambda: None, 6), Contestant(lambda: None, 2)
+    assert one.turn(3) == 6  # three times six in three seconds
+    assert one.turn(0) == 6  # once at least
+    one.rates, other.rates = [1.0, 10.0, 30.0], [1.0, 5.0, 10.0]
+    assert (one.rate, one.over(other)) == (10, 2)
+
+
+@pytest.mark.parametrize("name", ["sb3", "sbx"])
+def test_a_missing_package_is_named_before_anything_is_measured(name, monkeypatch):
+    package, module = bench.OTHERS[name]
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr(bench, "two_processes", pytest.fail)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["bench", "--against", name])
+    expected = f"offairl: {package} is not installed: pip install -e '.[bench]', in a clone"
+    assert stop.value.code == expected
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_missing_gpu_is_named():
+    with pytest.raises(ValueError, match="sees no GPU here: use cpu"):
+        bench.measure(Options(device="cuda"))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("--against cleanrl", "cleanrl"),
+        ("--rounds 0", "rounds is 0; expected a positive number"),
+        ("--seconds -1", "seconds is -1.0; expected a positive number"),
+        ("--populations 1 0", "populations is (1, 0); expected one or more positive numbers"),
+        ("--hidden", "hidden is (); expected one or more positive numbers"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(line, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["bench", *line.split()])
+    assert stop.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_the_others_take_turns_with_us():
+    for package, module in bench.OTHERS.values():
+        if bench.find_spec(module) is None:
+            pytest.skip(f"{package} is not installed: pip install -e '.[bench]'")
+    line = "--rounds 1 --seconds 0.02 --populations 1 --hidden 256 256 --against sb3 sbx --json"
+    report = json.loads(in_a_process_of_its_own(line))
+    learners = [(row["name"], row["hidden"], row["batch_size"]) for row in report["steps"]]
+    assert learners == [
+        ("offairl-lite", [256, 256], 100),
+        ("sb3", [256, 256], 100),
+        ("sbx", [256, 256], 100),
+        ("sb3", [256, 256], 256),
+    ]
+    assert {"stable-baselines3", "sbx-rl"} <= set(report["versions"])
+    assert [row["target"] for row in report["targets"]][:3] == [1.6, 1.0, 2.4]
+
+
+def test_the_cores_are_given_back():
+    if not hasattr(os, "sched_getaffinity"):
+        pytest.skip("this system does not say on which cores a process may run")
+    before = os.sched_getaffinity(0)
+    with bench.kept_to_cores(1):
+        assert len(os.sched_getaffinity(0)) == 1
+        assert os.sched_getaffinity(0) < before or len(before) == 1
+    assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"reward": "implementation-2"},
+        {"reward": "frozen", "carry": "primitives", "primitives": 2, "start_steps": 20},
+        {"generator": "ppo", "update_every": 40, "reward": "gail-survival"},
+        {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
+    ],
+)
+def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monkeypatch, changes):
+    small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
+    config = replace(tiny, **small, **changes)
+    # A clock that goes on by a second whenever it is looked at.
+    monkeypatch.setattr(bench.time, "perf_counter", count().__next__)
+    every = changes.get("update_every", 20)
+    evaluations = config.total_steps / config.eval_every
+    seconds = config.total_steps / every + config.eval_episodes * evaluations
+    assert bench.estimate(config, 2) == pytest.approx(seconds)

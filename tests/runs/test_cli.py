@@ -1,0 +1,500 @@
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium
+import pytest
+import torch
+
+from offairl_lite.core.acceleration import Execution
+from offairl_lite.core.discriminator import Reward
+from offairl_lite.core.loop import Trainer
+from offairl_lite.core.networks import Normaliser, StackedMLP
+from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.rng import Streams
+from offairl_lite.core.sac import SAC
+from offairl_lite.demonstrations import EXPERTS
+from offairl_lite.experiments import EXPERIMENTS
+from offairl_lite.runs import cli, jobs
+from offairl_lite.runs import folders as runs
+from offairl_lite.runs.records import Plan, read
+
+SMALL = (
+    "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
+    "--eval-episodes 2 --hidden 8 --reward-hidden 8 --shaping-hidden 8"
+)
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch, minari_folder):
+    """Runs and films go to a temporary folder; torch keeps its number of threads."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("OFFAIRL_SCALE", raising=False)
+    threads = torch.get_num_threads()
+    yield tmp_path
+    torch.set_num_threads(threads)
+
+
+def offairl(line):
+    cli.main(line.split())
+
+
+def failure(line, capsys):
+    """The one line of a command that fails."""
+    with pytest.raises(SystemExit) as stop:
+        offairl(line)
+    assert isinstance(stop.value.code, str), capsys.readouterr().err  # to stderr, exit status 1
+    assert stop.value.code.startswith("offairl: ")
+    assert "\n" not in stop.value.code
+    return stop.value.code
+
+
+def test_list_shows_experiments_and_experts(capsys, shipped_experts):
+    offairl("list")
+    out = capsys.readouterr().out
+    for name, experiment in EXPERIMENTS.items():
+        assert f"  {name} " in out
+        assert experiment.about in out
+    assert "demo: offairl/PointMazeLeft-v0, 6,000 steps, 5 seeds\n" in out
+    assert "full: Hopper-v5, 1,000,000 steps, 10 seeds\n" in out
+    several = "PointMazeRight-v0, offairl/PointMazeLeft-v0, 8,000 steps, 5 seeds"
+    assert several in " ".join(out.split())  # every task, whatever the lines
+    assert "offairl/PointMazeLeft-v0   2 policies" in out
+
+
+def test_list_shows_one_experiment_if_named(capsys):
+    offairl("list maze-mcp")
+    out = capsys.readouterr().out
+    assert "  maze-mcp " in out
+    assert "maze-dac" not in out
+    assert "Experts" not in out
+
+
+def test_list_says_how_long_a_run_takes_if_asked(capsys, monkeypatch):
+    asked = []
+
+    def estimate(config, members):
+        asked.append(config)
+        return members * config.total_steps / 100
+
+    monkeypatch.setattr(cli, "estimate", estimate)
+    offairl("list --times")
+    out = capsys.readouterr().out
+    assert "6,000 steps, 5 seeds, about 5 minutes" in out
+    assert "1,000,000 steps, 10 seeds, about 28 hours" in out
+    assert len(asked) == 2 * len(EXPERIMENTS)
+    assert asked[0].generator == "td3"  # the first of its variants
+    words = [cli._words(seconds) for seconds in (90, 7_000, 10**6)]
+    assert words == ["about 90 seconds", "about 117 minutes", "about 12 days"]
+
+
+def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
+    offairl("demos offairl/PointMazeLeft-v0 --trajectories 3")
+    assert "PointMazeLeft-v0: 3 trajectories, 300 steps, return -" in capsys.readouterr().out
+
+
+def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewhere, minari_folder):
+    actor = SquashedGaussian(3, 1, (8,))
+    params, normaliser = actor.init(Streams((0, 1))), Normaliser.identity(2, 3)
+    Policy("Pendulum-v1", actor, params, normaliser).save("mine/policy.safetensors")
+    line = "demos Pendulum-v1 --trajectories 3"
+    message = failure(f"{line} --policy mine", capsys)
+    assert "--policy mine makes a data set, which needs a name: add --dataset" in message
+    offairl(f"{line} --policy mine --dataset own/folder-v0")
+    assert "Pendulum-v1: 3 trajectories, 600 steps, return -" in capsys.readouterr().out
+    offairl(f"{line} --policy mine/policy.safetensors --dataset own/file-v0")
+    made = capsys.readouterr().out
+    message = failure(f"{line} --policy mine --dataset own/file-v0", capsys)
+    assert "the data set own/file-v0 is there already, and is not overwritten" in message
+    offairl(f"{line} --dataset own/folder-v0")
+    assert capsys.readouterr().out == made  # the same policy's, and as it was
+    assert "3 trajectories were asked for" not in made
+    message = failure("demos Pendulum-v1 --dataset own/file-v0", capsys)
+    assert "50 trajectories were asked for; it has 3: give --trajectories 3, or fewer" in message
+
+
+def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
+    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {SMALL}")
+    about = Plan.read(elsewhere / "thin").demonstrations
+    assert (about["trajectories"], about["subsample"], about["experts"]) == (2, 20, 1)
+    offairl("resume thin --steps 300")
+    assert read(elsewhere / "thin").steps[-1] == 300
+    assert "subsample is 0" in failure(
+        f"run maze-imitation --subsample 0 --out zero {SMALL}", capsys
+    )
+
+
+def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
+    offairl(f"run maze-imitation --trajectories 2 {SMALL}")
+    folder = elsewhere / "runs" / "maze-imitation-demo"
+    run = read(folder)
+    assert (run.seeds, run.steps.tolist()) == ((0, 1), [100, 200])
+    assert (run.config.batch_size, run.config.hidden) == (8, (8,))
+    # What was not asked for is the experiment's own.
+    assert (run.config.temperature, run.config.warmup_hold) == (None, 10.0)
+    assert json.loads((folder / "run.json").read_text())["state"] == "finished"
+    out = capsys.readouterr().out
+    assert "takes up to 0.2 MB of disk, mostly replay; processes: 1, updates: not compiled" in out
+    assert f"{run.rows[-1].mean_return:10.2f}" in out
+    assert "recorded in runs/maze-imitation-demo" in out
+
+    reward = folder / "reward.safetensors"
+    offairl(f"run maze-transfer --frozen {reward} --out transfer {SMALL}")
+    transfer = read(elsewhere / "transfer")
+    assert transfer.config.env_id == "offairl/PointMazeRight-v0"
+    assert torch.equal(transfer.reward.params, run.reward.params)
+
+    policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
+    given = f"--frozen {reward} --carry policy --carried {policy} --start-steps 20"
+    offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
+    assert read(elsewhere / "carried").config.start_steps == 20
+    sources = Plan.read(elsewhere / "carried").inherited
+    files = {name: about["files"] for name, about in sources.items()}
+    assert files == {"frozen": [str(reward)], "carried": [str(policy)], "guide": [str(guide)]}
+    assert len(Policy.load(elsewhere / "carried" / "guide.safetensors")) == 2
+    message = failure(f"run maze-transfer {given} --out other {SMALL}", capsys)
+    assert "a guide of another run is needed: give --guide RUN/policy" in message
+
+    offairl(f"watch {folder} --member 1 --max-steps 3 --out one.mp4")
+    assert (elsewhere / "one.mp4").read_bytes()[4:8] == b"ftyp"
+    assert "one.mp4: 4 frames of offairl/PointMazeLeft-v0" in capsys.readouterr().out
+    assert "member is 2" in failure(f"watch {folder} --member 2", capsys)
+
+
+def test_watch_takes_a_task_or_a_policy_s_file(capsys, shipped_experts, elsewhere):
+    for what in ("offairl/PointMazeLeft-v0", "experts/PointMazeLeft.safetensors"):
+        offairl(f"watch {what} --max-steps 2 --env-id offairl/PointMazeRight-v0")
+        assert "film.mp4: 3 frames of offairl/PointMazeRight-v0" in capsys.readouterr().out
+    offairl("watch offairl/PointMazeLeft-v0 --max-steps 2 --out films/new/one.mp4")
+    assert (elsewhere / "films" / "new" / "one.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("watch runs/imm", "no run or policy file runs/imm, and no expert is shipped for runs/imm"),
+        # The name of a task with experts, but not the task's.
+        ("watch runs/PointMazeLeft", "no run or policy file runs/PointMazeLeft"),
+        ("watch begun", "begun has no policy.safetensors, .*: `offairl resume begun` goes on"),
+        ("watch experts", "experts is not a run's folder: it has no config.json"),
+        ("watch begun/config.json", "begun/config.json is no safetensors file"),
+        ("watch Pendulum-v1", "no expert is shipped for Pendulum-v1"),
+        ("watch offairl/PointMazeLeft-v0 --out a.gif", "out is a.gif; expected .*: --out a.mp4"),
+        ("watch offairl/PointMazeLeft-v0 --env-id Hopper-v5", "sees 3 numbers, .* gives 11"),
+        (
+            "watch offairl/PointMazeLeft-v0 --env-id Pendulum-v1",
+            r"gives 2 numbers, .* \(1,\): choose",
+        ),
+    ],
+)
+def test_what_cannot_be_watched_is_said_before_it_is_drawn(
+    line, message, capsys, shipped_experts, elsewhere
+):
+    (elsewhere / "begun").mkdir()
+    (elsewhere / "begun" / "config.json").write_text("{}")
+    assert re.search(message, failure(line, capsys))
+    assert not list(elsewhere.rglob("*.mp4"))
+
+
+def test_a_task_and_data_of_one_s_own(capsys, write_dataset, elsewhere):
+    write_dataset("my/pendulum-v0")
+    offairl(
+        "run imitate --env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 "
+        f"--update-every 50 --out mine {SMALL}"
+    )
+    run = read(elsewhere / "mine")
+    assert run.config.env_id == run.policy.env_id == "Pendulum-v1"
+    assert (run.config.update_every, len(run.rows)) == (50, 4)
+
+
+def test_the_scale_decides_the_defaults(capsys, monkeypatch):
+    for line, variable, steps in [
+        ("run maze-imitation --help", "demo", "6000"),
+        ("run maze-imitation --help", "full", "1000000"),
+        ("run maze-imitation --scale full --help", "demo", "1000000"),
+        ("run maze-imitation --scale=full --help", "demo", "1000000"),
+        ("run maze-expert --help", "demo", "16000"),
+    ]:
+        monkeypatch.setenv("OFFAIRL_SCALE", variable)
+        with pytest.raises(SystemExit):
+            offairl(line)
+        text = " ".join(capsys.readouterr().out.split())
+        assert f"(default: {steps})" in text.split("--total-steps INT", 1)[1][:120]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "run maze-transfer",
+            "`offairl run maze-imitation`, then add --frozen runs/maze-imitation-demo/reward",
+        ),
+        ("run maze-transfer --frozen no.safetensors", "no reward at no.safetensors"),
+        (
+            f"run --centre-reward maze-expert {SMALL}",
+            "the defaults are those of maze-imitation at demo scale: name the experiment before",
+        ),
+        ("run maze-imitation --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
+        (f"run maze-expert --env-id Nowhere-v0 {SMALL}", "unknown environment 'Nowhere-v0'"),
+        ("run imitate --env-id Nowhere-v0 --dataset my/pendulum-v0", "Nowhere"),
+        ("run imitate --env-id Pendulum-v1 --dataset my/other-v0", "no local data set"),
+        ("demos Nowhere-v0", "unknown environment 'Nowhere-v0'"),
+        ("watch Nowhere-v0", "no expert is shipped for Nowhere-v0"),
+        ("watch no.safetensors", "no policy at no.safetensors"),
+        (
+            "resume nowhere",
+            "nowhere: it has no config.json; `offairl run NAME --out nowhere` starts",
+        ),
+        (f"run maze-expert --processes 0 {SMALL}", "processes is 0; expected at least 1"),
+    ],
+)
+def test_mistakes_are_answered_in_one_line(
+    line, message, capsys, shipped_experts, write_dataset, elsewhere
+):
+    write_dataset("my/pendulum-v0", episodes=1)
+    assert message in failure(line, capsys)
+    assert not (elsewhere / "runs").exists()
+
+
+def test_a_value_that_makes_no_sense_is_explained(capsys):
+    with pytest.raises(SystemExit) as stop:
+        offairl("run maze-imitation --discount 2")
+    assert stop.value.code == 2
+    assert "discount is 2.0; expected a number" in capsys.readouterr().err
+
+
+def test_an_unknown_scale_is_answered_in_one_line(capsys, monkeypatch):
+    monkeypatch.setenv("OFFAIRL_SCALE", "huge")
+    assert "'demo' or 'full'" in failure("list", capsys)
+
+
+def test_a_folder_in_use_is_left_alone(capsys, elsewhere):
+    (elsewhere / "used").mkdir()
+    (elsewhere / "used" / "notes.txt").write_text("mine")
+    line = f"run maze-expert --out used {SMALL}"
+    assert "used is not empty" in failure(line, capsys)
+    assert [path.name for path in (elsewhere / "used").iterdir()] == ["notes.txt"]
+    assert "`offairl resume used` goes on" in failure(line, capsys)
+
+
+def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dataset):
+    write_dataset("my/pendulum-v0")
+    task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --update-every 50"
+    offairl(f"run imitate --out whole {task} {SMALL}")
+    advance = Trainer.advance
+
+    def stop(self):
+        if self.steps == 150:
+            raise KeyboardInterrupt
+        return advance(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "advance", stop)
+        line = f"run imitate --out mine {task} {SMALL}"
+        assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt()"
+    assert [row.step for row in read(elsewhere / "mine").rows] == [100, 100]
+    offairl("resume mine")
+    for name in ("curve.csv", "policy.safetensors", "reward.safetensors"):
+        assert (elsewhere / "mine" / name).read_bytes() == (elsewhere / "whole" / name).read_bytes()
+    offairl("resume mine --steps 300 --seeds 5 --processes 1")
+    run = read(elsewhere / "mine")
+    assert (run.config.total_steps, run.seeds) == (300, (0, 1, 5))
+    assert [row.step for row in run.rows if row.seed == 5] == [100, 200, 300]
+    assert len(run.policy) == 3
+    assert "reached step 300; it cannot end at 200" in failure("resume mine --steps 200", capsys)
+
+
+def test_a_scheduler_may_stop_a_run(capsys, elsewhere, monkeypatch):
+    advance = Trainer.advance
+
+    def stop(self):
+        if self.steps == 150:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return advance(self)
+
+    monkeypatch.setattr(Trainer, "advance", stop)
+    before = signal.getsignal(signal.SIGTERM)
+    line = f"run maze-expert --out mine {SMALL}"
+    assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
+    assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: SIGTERM"
+    line = "resume mine --members 0 1"
+    assert failure(line, capsys) == "offairl: stopped"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_cannot_be_extended_is_left_as_it_was(capsys, elsewhere):
+    offairl(f"run maze-expert --out mine {SMALL}")
+    before = {path: path.read_bytes() for path in Path("mine").rglob("*") if path.is_file()}
+    for line in ("--steps 300 --seeds 1", "--steps 300 --members 0 1", "--processes 0"):
+        assert failure(f"resume mine {line}", capsys).startswith("offairl: ")
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def manifest(folder):
+    return json.loads((folder / "run.json").read_text())
+
+
+def test_a_member_that_diverges_is_told_of(capsys, elsewhere, monkeypatch):
+    original = SAC.update
+
+    def update(self, *batch):
+        if self.updates == 150:
+            self.critic_params.data[:, 1] = torch.inf
+        return original(self, *batch)
+
+    monkeypatch.setattr(SAC, "update", update)
+    with pytest.warns(UserWarning, match="seed 1 diverged"):
+        message = failure(f"run maze-expert --out one {SMALL}", capsys)
+    assert message.startswith("offairl: seed 1 diverged by step 200: its ")
+    assert "recorded in one" in capsys.readouterr().out
+    again = f"{message}. It is not tried again: start a new run"
+    assert failure("resume one", capsys) == again
+    assert [(row.seed, row.step) for row in read(elsewhere / "one").rows] == [
+        (0, 100),
+        (1, 100),
+        (0, 200),
+    ]
+
+
+ARM = """
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+class Arm(gymnasium.Env):
+    observation_space, action_space = Box(-9, 9, (3,)), Box(-2, 2, (2,))
+
+    def __init__(self, mass=1):
+        self.mass = mass
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.obs = self.np_random.uniform(-1, 1, 3).astype(np.float32)
+        return self.obs, {}
+
+    def step(self, action):
+        self.obs = self.obs + np.float32(0.01 / self.mass) * np.append(action, 0)
+        self.obs = self.obs.astype(np.float32)
+        return self.obs, float(-np.abs(self.obs).sum()), False, False, {}
+
+gymnasium.register("Arm-v0", entry_point=Arm, max_episode_steps=20)
+gymnasium.register("Heavy-v0", entry_point=Arm, kwargs={"mass": 3}, max_episode_steps=20)
+"""
+
+
+def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, monkeypatch):
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    (elsewhere / "arm.py").write_text(ARM)
+    small, net = f"{SMALL} --update-every 50", StackedMLP((3, 4, 1))
+    try:
+        offairl(f"run imitate --reward environment --env-id arm:Arm-v0 {small} --out one")
+        assert read("one").config.env_id == "arm:Arm-v0"
+        learned = net.init(Streams((0, 1))), Normaliser.identity(2, 3)
+        Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
+        line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen one {small}"
+        offairl(f"{line} --carry policy --carried one --out two --processes 2")
+        assert read("two").steps.tolist() == [100, 200]
+        offairl("verify two")
+        message = failure(f"{line} --carried one --out three", capsys)
+        assert "--carried one would not be used: add --carry policy" in message
+        assert not Path("three").exists()
+    finally:
+        for name in ("Arm-v0", "Heavy-v0"):
+            gymnasium.registry.pop(name, None)
+        sys.modules.pop("arm", None)
+
+
+def test_a_folder_may_have_the_name_of_an_experiment(elsewhere):
+    offairl(f"run --seeds 0 --out imitate --reward environment {SMALL}")
+    assert Plan.read(elsewhere / "imitate").experiment == "maze-imitation"
+
+
+def test_processes_share_the_members(capsys, elsewhere):
+    offairl(f"run maze-expert --out both {SMALL} --processes 2")
+    out = capsys.readouterr().out
+    assert "processes: 2" in out
+    run = read(elsewhere / "both")
+    assert (len(run.policy), run.returns.shape) == (2, (2, 2))
+    assert Plan.read(elsewhere / "both").shards == ((0,), (1,))
+    assert "seed" not in (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
+    assert manifest(elsewhere / "both")["state"] == "finished"
+
+
+def test_a_process_that_fails_is_told_of(capsys, elsewhere, monkeypatch):
+    offairl(f"run maze-expert --out both {SMALL} --total-steps 300 --seeds 0")
+    monkeypatch.setattr(runs, "work", lambda *_, **__: None)
+    offairl("resume both --seeds 1 --processes 1")
+    offairl("resume both --steps 400 --processes 1")
+    (elsewhere / "both" / "members" / "0" / "replay.f32").write_bytes(b"")
+    shards = [(0,), (1,)]
+    monkeypatch.setattr(runs, "unfinished", lambda _: shards)
+    message = failure("resume both --processes 2", capsys)
+    assert message.endswith(
+        "1 of 2 shards failed, twice: see above; `offairl resume both` goes on with them"
+    )
+    log = (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
+    assert log.count("replay.f32 is damaged") == 2
+
+
+def test_ctrl_c_stops_all_processes(elsewhere):
+    line = f"run maze-expert --out both {SMALL} --total-steps 1000000 --processes 2"
+    command = [sys.executable, "-m", "offairl_lite.runs.cli", *line.split()]
+    parent = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    while not (elsewhere / "both").exists() or len(manifest(elsewhere / "both")["shards"]) < 2:
+        time.sleep(0.1)
+        assert parent.poll() is None
+    parent.send_signal(signal.SIGINT)
+    assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
+    assert parent.returncode == 1
+    states = [shard["state"] for shard in manifest(elsewhere / "both")["shards"].values()]
+    assert states == ["stopped: KeyboardInterrupt()"] * 2
+    # Nobody holds the locks.
+    runs.extend(elsewhere / "both", 2_000_000)
+
+
+@pytest.mark.parametrize(
+    ("line", "compiler", "processes", "compiled"),
+    [
+        ("run maze-expert --scale full", "g++", 4, True),
+        ("run maze-expert --scale full --seeds 0 1", None, 2, False),
+        ("run maze-expert --scale full --processes 3 --compile no", "g++", 3, False),
+        ("run maze-expert --scale full --total-steps 49000", "g++", 4, False),
+        ("run maze-expert", "g++", 1, False),
+    ],
+)
+def test_large_networks_are_compiled_and_spread(
+    line, compiler, processes, compiled, capsys, monkeypatch
+):
+    def create(*_, execution, shards, **__):
+        raise ValueError(f"{shards} {execution}")
+
+    monkeypatch.setattr("offairl_lite.core.acceleration.compiler", lambda: compiler)
+    monkeypatch.setattr(jobs, "cores", lambda: 4)
+    monkeypatch.setattr(runs, "create", create)
+    expected = Execution("cpu", 1, compiled, onednn=processes > 1)
+    assert failure(line, capsys) == f"offairl: {processes} {expected}"
+
+
+def test_a_record_is_verified(capsys, elsewhere):
+    offairl(f"run maze-expert {SMALL} --out one")
+    offairl("verify one --evaluations 2")
+    assert "the same, every return of every episode" in capsys.readouterr().out
+    curve, origin = elsewhere / "one" / "curve.csv", elsewhere / "one" / "run.json"
+    rows = curve.read_text().splitlines()
+    fields = rows[1].split(",")
+    fields[4] = fields[4].replace("-", "-1", 1)
+    curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
+    others = {"processor": "an abacus", "vectors": "ten"}
+    origin.write_text(json.dumps({**json.loads(origin.read_text()), **others}))
+    message = failure("verify one", capsys)
+    assert "one comes out otherwise here" in message
+    assert "processor: an abacus, here" in message
+    assert "vectors: ten, here" in message
+    assert "(the environment variable ATEN_CPU_CAPABILITY sets them)" in message
+    assert "versions" not in message

@@ -1,0 +1,303 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from offairl_lite.runs import jobs
+from offairl_lite.runs.jobs import Failure, Job, execute
+
+STEPS = 40
+
+# What a job of these tests runs in the place of `offairl resume`: it writes the same files, ten
+# steps at a time, goes on where it was, and gets into trouble as it is told.
+WORK = """
+import json, os, signal, sys, time
+from pathlib import Path
+
+folder, members, trouble = Path(sys.argv[1]), sys.argv[2].split("-"), sys.argv[3]
+shard = folder / "members" / sys.argv[2]
+curve, attempts = shard / "curve.csv", shard / "attempts"
+with open(attempts, "a") as file:
+    file.write(f"{os.getpid()} {os.environ['OMP_NUM_THREADS']} {time.monotonic()}\\n")
+first = len(attempts.read_text().splitlines()) == 1
+if not curve.exists():
+    curve.write_text("seed,step,mean_return\\n")
+step = max([0, *(int(line.split(",")[1]) for line in curve.read_text().splitlines()[1:])])
+print("from step", step, flush=True)
+while step < 40:
+    step += 10
+    with open(curve, "a") as file:
+        file.writelines(f"{seed},{step},{-step / 10 - int(seed)}\\n" for seed in members)
+    if step == 20 and trouble == "slow":
+        try:
+            time.sleep(60)
+        except KeyboardInterrupt:
+            sys.exit("stopped")
+    if step >= 20 and (trouble == "broken" or trouble == "hiccup" and first):
+        print("out of luck")
+        sys.exit(3)
+    if step == 20 and trouble == "killed" and first:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.02)
+with open(attempts, "a") as file:
+    file.write(f"end {time.monotonic()}\\n")
+(folder / "run.json").write_text(json.dumps({"state": "finished"}))
+"""
+
+
+@pytest.fixture
+def prepare(tmp_path):
+    """Make run folders, and the command that works on them."""
+    script = tmp_path / "work.py"
+    script.write_text(WORK)
+
+    def make(**troubles):
+        todo = []
+        for name in troubles:
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "run.json").write_text('{"state": "running"}')
+            about = f'{{"shards": [[0, 3]], "config": {{"total_steps": {STEPS}}}}}'
+            (tmp_path / name / "config.json").write_text(about)
+            todo += jobs.of(tmp_path / name)
+
+        def command(job):
+            members = "-".join(map(str, job.members))
+            return [
+                sys.executable,
+                str(script),
+                str(job.folder),
+                members,
+                troubles[job.folder.name],
+            ]
+
+        return todo, command
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A Ray of two cores on this machine."""
+    ray = pytest.importorskip("ray", reason="Ray is not installed")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+        yield
+        ray.shutdown()
+
+
+@pytest.fixture(params=["processes", "ray"])
+def engine(request, monkeypatch):
+    monkeypatch.setattr(jobs, "POLL_S", 0.02)
+    if request.param == "ray":
+        request.getfixturevalue("cluster")
+    return request.param
+
+
+def attempts(job):
+    """Process id of each attempt."""
+    lines = (job.shard / "attempts").read_text().splitlines()
+    return [int(line.split()[0]) for line in lines if not line.startswith("end")]
+
+
+def curve(job):
+    return (job.shard / "curve.csv").read_text()
+
+
+def lives(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_for(condition, seconds=60):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_jobs_are_the_shards_of_a_run(prepare, tmp_path):
+    (whole,), _ = prepare(whole="")
+    assert whole == Job(tmp_path / "whole", (0, 3), STEPS)
+    about = whole.folder / "config.json"
+    about.write_text(about.read_text().replace("[[0, 3]]", "[[0], [3]]"))
+    assert [job.members for job in jobs.of(whole.folder)] == [(0,), (3,)]
+    assert jobs.resume(whole)[1:] == [
+        *("-m", "offairl_lite.runs.cli", "resume", str(whole.folder), "--members", "0", "3")
+    ]
+
+
+def test_the_step_of_a_job_is_that_of_its_last_complete_row(prepare):
+    (job,), _ = prepare(one="")
+    assert job.step == 0
+    job.shard.mkdir(parents=True)
+    for text, step in [("se", 0), ("seed,step\n", 0), ("seed,step\n0,100\n3,1", 100)]:
+        (job.shard / "curve.csv").write_text(text)
+        assert job.step == step
+    with open(job.shard / "curve.csv", "w") as file:
+        file.write("seed,step,returns\n" + "".join(f"0,{i},{'7 ' * 500}\n" for i in range(99)))
+    assert job.step == 98
+
+
+def test_all_is_done_and_what_is_finished_is_skipped(engine, prepare, capsys):
+    todo, command = prepare(one="", two="", three="")
+    assert execute(todo, engine, 2, command=command) == []
+    err = capsys.readouterr().err
+    assert "120/120" in err
+    assert "3 done, 0 running, 0 failed" in err
+    assert all((job.shard / "attempts").read_text().split()[1] == "1" for job in todo)
+    before = [attempts(job) for job in todo]
+    assert execute(todo, engine, 2, progress=False, command=command) == []
+    assert [attempts(job) for job in todo] == before
+    assert capsys.readouterr().err == ""
+
+
+def test_a_log_file_has_a_line_for_each_change_and_not_for_each_glance(
+    prepare, capsys, monkeypatch
+):
+    monkeypatch.setattr(jobs, "POLL_S", 0.001)
+    todo, command = prepare(one="")
+    assert execute(todo, "processes", 1, command=command) == []
+    # The bar, one job running, four steps of its curve (each may draw twice), done, and closed.
+    assert capsys.readouterr().err.count("\r") <= 12
+
+
+def test_a_failure_is_tried_once_more_then_reported(engine, prepare, capsys):
+    todo, command = prepare(fine="", hiccup="hiccup", broken="broken")
+    (failure,) = execute(todo, engine, 2, command=command)
+    assert isinstance(failure, Failure)
+    assert (failure.job.folder.name, failure.reason) == ("broken", "exit status 3")
+    assert failure.tail.splitlines()[-2:] == ["from step 20", "out of luck"]
+    assert str(failure.job.log) in str(failure)
+    assert [len(attempts(job)) for job in todo] == [1, 2, 2]
+    # From where it was.
+    assert "from step 20" in todo[1].log.read_text()
+    assert curve(todo[0]) == curve(todo[1])
+    err = capsys.readouterr().err
+    assert "hiccup, seeds 0 3: exit status 3; it is tried once more" in err
+    assert "2 done, 0 running, 1 failed" in err
+
+
+def test_a_job_that_is_killed_is_gone_on_with(engine, prepare, capsys):
+    todo, command = prepare(killed="killed", fine="")
+    assert execute(todo, engine, 2, command=command) == []
+    assert "killed by SIGKILL (out of memory?)" in capsys.readouterr().err
+    assert [len(attempts(job)) for job in todo] == [2, 1]
+    assert curve(todo[0]) == curve(todo[1])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_no_more_work_at_a_time_than_allowed(engine, workers, prepare):
+    todo, command = prepare(a="", b="", c="", d="")
+    assert execute(todo, engine, workers, progress=False, command=command) == []
+    events = []
+    for job in todo:
+        start, end = (job.shard / "attempts").read_text().splitlines()
+        events += [(float(start.split()[-1]), 1), (float(end.split()[-1]), -1)]
+    running = peak = 0
+    for _, change in sorted(events):
+        running += change
+        peak = max(peak, running)
+    assert peak <= workers
+
+
+def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "POLL_S", 0.02)
+    todo, command = prepare(processes="hiccup", ray="hiccup")
+    for job in todo:
+        assert execute([job], job.folder.name, command=command) == []
+    found = [
+        {
+            path.relative_to(job.folder): path.read_text()
+            for path in job.folder.rglob("*")
+            if path.is_file() and path.name != "attempts"
+        }
+        for job in todo
+    ]
+    logs = [folder.pop(todo[0].log.relative_to(todo[0].folder)).splitlines() for folder in found]
+    assert found[0] == found[1]
+    assert next([line for line in log if line[0] != "#"] for log in logs) == [
+        *("from step 0", "out of luck", "from step 20")
+    ]
+    assert len(logs[0]) == len(logs[1])
+
+
+def test_a_folder_that_a_node_does_not_see_ends_it_all(engine, prepare):
+    todo, command = prepare(slow="slow")
+    lost = Job(todo[0].folder.with_name("elsewhere"), (0,), STEPS)
+    with pytest.raises(ValueError, match=r"does not see .*elsewhere: put runs on a file system"):
+        execute([*todo, lost], engine, 2, progress=False, command=command)
+    if (todo[0].shard / "attempts").exists():
+        assert not lives(*attempts(todo[0]))
+
+
+@pytest.mark.parametrize("engine", ["processes", "ray"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
+    if engine == "ray":
+        pytest.importorskip("ray", reason="Ray is not installed")
+    todo, command = prepare(slow="slow", alike="slow", later="")
+    main = tmp_path / "main.py"
+    main.write_text(
+        "from pathlib import Path\n"
+        "from offairl_lite.runs.jobs import Job, execute\n"
+        f"commands = {[(str(job.folder), command(job)) for job in todo]!r}\n"
+        f"todo = [Job(Path(folder), (0, 3), {STEPS}) for folder, _ in commands]\n"
+        f"execute(todo, {engine!r}, 2, command=lambda job: dict(commands)[str(job.folder)])\n"
+    )
+    with open(tmp_path / "said", "w") as said:
+        process = subprocess.Popen([sys.executable, str(main)], stderr=said)
+    try:
+        wait_for(lambda: all(job.step == 20 for job in todo[:2]))
+        pids = [pid for job in todo[:2] for pid in attempts(job)]
+        assert all(map(lives, pids))
+        process.send_signal(number)
+        assert process.wait(30) != 0
+    finally:
+        process.kill()
+        process.wait()
+    assert "KeyboardInterrupt" in (tmp_path / "said").read_text()
+    wait_for(lambda: not any(map(lives, pids)), 5)
+    assert all(job.log.read_text().endswith("stopped\n") for job in todo[:2])
+    assert not (todo[2].shard / "attempts").exists()
+
+
+def test_a_process_that_does_not_want_to_end_is_killed(prepare, monkeypatch):
+    monkeypatch.setattr(jobs, "GRACE_S", 0.2)
+    todo, _ = prepare(deaf="")
+    deaf = "import signal, time; signal.signal(2, signal.SIG_IGN); print(1, flush=True); "
+    crew = jobs.Processes(lambda job: [sys.executable, "-c", deaf + "time.sleep(60)"], 1)
+    process = crew.start(todo[0])
+    wait_for(lambda: todo[0].log.read_text().endswith("1\n"))
+    crew.stop([process])
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_as_many_at_a_time_as_there_are_cores():
+    assert 1 <= jobs.Processes(jobs.resume, None).capacity() <= os.cpu_count()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"engine": "threads"}, "engine is 'threads'; expected one of"),
+        ({"workers": 0}, "workers is 0; expected at least 1"),
+        ({"address": "auto"}, "address 'auto' is a Ray cluster's"),
+    ],
+)
+def test_mistakes_are_named(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        execute([], **wrong)
+
+
+def test_without_ray_it_is_said_how_to_get_it(prepare, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    todo, command = prepare(one="")
+    with pytest.raises(ValueError, match=r"Ray is not installed: pip install -e '\.\[ray\]"):
+        execute(todo, "ray", command=command)

@@ -1,0 +1,198 @@
+"""The files of a run's folder."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from offairl_lite.core.discriminator import Reward
+from offairl_lite.core.loop import Row, train
+from offairl_lite.core.networks import Normaliser, save_weights
+from offairl_lite.core.policies import Deterministic, Policy
+from offairl_lite.core.rng import Streams
+from offairl_lite.runs.records import (
+    HEADER,
+    METRICS,
+    Plan,
+    lines,
+    merged,
+    read,
+    read_json,
+    write_json,
+    write_whole,
+)
+
+SEEDS = (3, 7)
+
+
+def rows(step):
+    """Numbers whose shortest decimal form is long, and one that is missing."""
+    metrics = {"cross_entropy": 0.1 + 0.2, "q": -1e-17}
+    returns = (math.pi, -step / 3)
+    return [Row(seed, step, step // 100, math.e, returns, 2 / 3, metrics) for seed in SEEDS]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "runs" / "one"
+
+
+@pytest.fixture
+def plan(tiny):
+    return Plan(tiny, ((3,), (7,)), {"device": "cpu", "threads": 1}, None, 60, "maze", "demo")
+
+
+@pytest.fixture
+def record(folder, plan):
+    """What there is of a run after two evaluations."""
+    folder.mkdir(parents=True)
+    plan.write(folder)
+    (folder / "curve.csv").write_text(HEADER + lines(rows(100) + rows(200)))
+    return folder
+
+
+def test_a_plan_comes_back_as_it_was(record, plan):
+    assert Plan.read(record) == plan
+    assert plan.seeds == SEEDS
+
+
+def test_a_curve_from_before_a_diagnostic_existed_is_read(record):
+    path = record / "curve.csv"
+    older = [line.rsplit(",", 1)[0] + "\n" for line in path.read_text().splitlines()]
+    path.write_text("".join(older))
+    assert read(record).rows == rows(100) + rows(200)
+    # The run was resumed since: its first lines are shorter than the others.
+    path.write_text(merged([path.read_text(), HEADER + lines(rows(300))], SEEDS))
+    assert read(record).rows == rows(100) + rows(200) + rows(300)
+
+
+def test_a_record_comes_back_as_it_was(record, tiny):
+    run = read(record)
+    assert (run.config, run.seeds, run.rows) == (tiny, SEEDS, rows(100) + rows(200))
+    assert (run.policy, run.reward, run.diverged) == (None, None, {})
+    assert run.steps.tolist() == [100, 200]
+    assert run.returns.tolist() == [[math.e, math.e]] * 2
+
+
+@pytest.mark.parametrize("bottleneck", [None, 0.5])
+def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, bottleneck):
+    config = replace(tiny, bottleneck=bottleneck)
+    run = train(config, SEEDS, random_demonstrations(tiny.env_id), progress=False)
+    assert set(run.rows[0].metrics) <= set(METRICS)
+
+
+def test_what_there_is_not_is_left_out(record, plan):
+    replace(plan, config=replace(plan.config, reward="environment")).write(record)
+    row = rows(100)[0]._replace(learned_return=math.nan, metrics={})
+    (record / "curve.csv").write_text(HEADER + lines([row]))
+    (again,) = read(record).rows
+    assert math.isnan(again.learned_return)
+    assert again.metrics == {}
+
+
+def test_members_that_were_given_up_are_named(record):
+    shards = {"3": {"diverged": {}}, "7": {"diverged": {"7": "seed 7 diverged"}}}
+    write_json(record / "run.json", {"shards": shards})
+    assert read(record).diverged == {7: "seed 7 diverged"}
+
+
+def test_curves_are_put_together_by_step_and_seed():
+    three, seven = ([row for row in rows(100) + rows(200) if row.seed == s] for s in SEEDS)
+    curves = [HEADER + lines(part) for part in (seven, three)]
+    assert merged(curves, SEEDS) == HEADER + lines(rows(100) + rows(200))
+    assert merged(curves, SEEDS[::-1]) == HEADER + lines(rows(100)[::-1] + rows(200)[::-1])
+    # The last line is being written.
+    cut = [curves[0], curves[1][:-5]]
+    assert merged(cut, SEEDS) == HEADER + lines([*rows(100), seven[1]])
+    assert merged([], SEEDS) == HEADER
+
+
+def test_a_file_is_the_old_one_or_the_new(tmp_path):
+    path = tmp_path / "x.json"
+    write_json(path, {"a": 1})
+
+    def fail(part):
+        part.write_text("half")
+        raise OSError("the disk is full")
+
+    with pytest.raises(OSError, match="the disk is full"):
+        write_whole(path, fail)
+    assert read_json(path) == {"a": 1}
+    write_json(path, {"a": 2})
+    assert read_json(path) == {"a": 2}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def policy_parts():
+    actor = Deterministic(3, 2, (4,))
+    return actor, actor.init(Streams(SEEDS)), Normaliser.identity(2, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("config.json", "there is no run in .*one: it has no config.json; `offairl run NAME"),
+        ("curve.csv", "no record of a run: it has no curve.csv"),
+    ],
+)
+def test_a_folder_that_is_no_record_is_refused(record, name, message):
+    (record / name).unlink()
+    with pytest.raises(FileNotFoundError, match=message):
+        read(record)
+
+
+def test_a_chapter_that_is_run_from_another_folder_is_told_where_to_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match=f"{tmp_path}/records.* run in the folder `book`"):
+        read(Path("records/maze-imitation-demo"))
+
+
+def test_a_configuration_of_another_version_is_refused(record):
+    path = record / "config.json"
+    content = read_json(path)
+    write_json(path, {**content, "config": {**content["config"], "momentum": 0.9}})
+    with pytest.raises(ValueError, match=r"config.json does not describe a run: .*momentum"):
+        read(record)
+    write_json(path, {**content, "format": 3})
+    with pytest.raises(ValueError, match=r"config.json has format 3, and .* reads format 2"):
+        read(record)
+    # The first format had no number.
+    write_json(path, {"seeds": [0], **content["config"]})
+    with pytest.raises(ValueError, match=r"config.json has format 1, and .* reads format 2"):
+        read(record)
+    path.write_text("{")
+    with pytest.raises(ValueError, match=r"config.json is damaged: Expecting"):
+        read(record)
+
+
+def test_a_curve_with_other_columns_is_refused(record):
+    path = record / "curve.csv"
+    path.write_text(path.read_text().replace("mean_return", "reward", 1))
+    with pytest.raises(ValueError, match=r"curve.csv has columns .*'reward'.*expected"):
+        read(record)
+
+
+@pytest.mark.parametrize("kind", [Policy, Reward])
+def test_foreign_weights_are_refused(tmp_path, kind):
+    path = tmp_path / "x.safetensors"
+    name = kind.__name__.lower()
+    with pytest.raises(FileNotFoundError, match=f"no {name} at"):
+        kind.load(path)
+    path.write_bytes(b"something else altogether")
+    with pytest.raises(ValueError, match="no safetensors file"):
+        kind.load(path)
+    other = "reward" if kind is Policy else "policy"
+    save_weights(path, {"params": torch.zeros(1, 2)}, {"kind": other})
+    with pytest.raises(ValueError, match=f"holds '{other}', not a {name}"):
+        kind.load(path)
+
+
+def test_weights_that_do_not_fit_their_architecture_are_refused(tmp_path):
+    actor, params, normaliser = policy_parts()
+    Policy("x", actor, params[:, 1:], normaliser).save(tmp_path / "x.safetensors")
+    with pytest.raises(
+        ValueError, match=rf"weights \(2, 25\), expected \(S, {actor.net.num_params}\)"
+    ):
+        Policy.load(tmp_path / "x.safetensors")

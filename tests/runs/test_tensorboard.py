@@ -1,0 +1,70 @@
+"""Evaluations as TensorBoard reads them back."""
+
+import math
+import sys
+from dataclasses import replace
+
+import pytest
+
+from offairl_lite.core.loop import train
+from offairl_lite.runs import cli
+from offairl_lite.runs import tensorboard as logs
+from offairl_lite.runs.folders import create, work
+
+
+def scalars(folder, seed):
+    """What TensorBoard reads: for each tag, the values by step."""
+    accumulator = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator"
+    ).EventAccumulator(str(folder / f"seed-{seed}"))
+    accumulator.Reload()
+    tags = accumulator.Tags()["scalars"]
+    return {tag: {e.step: e.value for e in accumulator.Scalars(tag)} for tag in tags}
+
+
+def test_every_evaluation_of_every_seed_is_written(tiny, tmp_path, random_demonstrations):
+    expert = random_demonstrations(tiny.env_id)
+    run = train(tiny, (3, 7), expert, progress=False, on_evaluation=logs.TensorBoard(tmp_path))
+    assert {path.name for path in tmp_path.iterdir()} == {"seed-3", "seed-7"}
+    for row in run.rows:
+        found = {tag: values[row.step] for tag, values in scalars(tmp_path, row.seed).items()}
+        expected = {"return/true": row.mean_return, "return/learned": row.learned_return}
+        expected |= {f"update/{name}": value for name, value in row.metrics.items()}
+        assert found == pytest.approx(expected, rel=1e-6)
+        assert 0 <= found["update/entropy"] <= math.log(2) + 1e-6
+
+
+def test_a_record_is_written_once_and_followed_to_its_end(tiny, tmp_path, monkeypatch, capsys):
+    config, folder = replace(tiny, reward="environment"), tmp_path / "run"
+    create(folder, config, (0,))
+    looks = []
+
+    def wait(seconds):
+        looks.append(seconds)
+        work(folder, progress=False)
+
+    monkeypatch.setattr(logs.time, "sleep", wait)
+    cli.main(["tensorboard", str(folder), "--follow"])
+    assert looks == [logs.POLL_S]
+    out = folder / "tensorboard"
+    assert f"2 evaluations written; to look at them: tensorboard --logdir {out}" in (
+        capsys.readouterr().out
+    )
+    cli.main(["tensorboard", str(folder)])  # Anew, and not twice.
+    found = scalars(out, 0)
+    assert list(found["return/true"]) == [100, 200]
+    with pytest.raises(SystemExit, match="has event files already: choose a new folder"):
+        cli.main(["tensorboard", str(folder), "--out", str(out)])
+    assert "return/learned" not in found  # There is none: it is NaN in the record.
+
+
+def test_a_missing_tensorboard_is_told_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[tensorboard\]'"):
+        logs.TensorBoard(tmp_path)
+
+
+def test_no_run_no_events(tmp_path):
+    with pytest.raises(SystemExit, match="there is no run in"):
+        cli.main(["tensorboard", str(tmp_path / "nothing")])
+    assert not any(tmp_path.iterdir())
