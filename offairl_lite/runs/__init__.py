@@ -1,0 +1,1 @@
+"""Runs as folders: made, killed, resumed, swept over, and the command line."""
