@@ -4,7 +4,7 @@
 mathematics done right. What the paper leaves unsaid is filled in from the released code.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, get_args, get_origin
 
 RewardName = Literal[
@@ -358,6 +358,35 @@ class Config:
     def learns_reward(self) -> bool:
         """Whether a discriminator is trained."""
         return self.reward not in ("environment", "frozen")
+
+    # The groups that are to come.
+    @property
+    def schedule(self) -> "Config":
+        """When things happen."""
+        return self
+
+    @property
+    def learner(self) -> "Config":
+        """Who maximises the reward."""
+        return self
+
+    @property
+    def discriminator(self) -> "Config | None":
+        """What the reward is learned by."""
+        return self if self.learns_reward else None
+
+    def flat(self) -> dict[str, Any]:
+        """Return all fields by their flat names."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def of(cls, **flat: Any) -> "Config":
+        """Return the configuration with these fields."""
+        return cls(**flat)
+
+    def change(self, **flat: Any) -> "Config":
+        """Return the configuration with some fields changed."""
+        return replace(self, **flat)
 
 
 _POSITIVE = (

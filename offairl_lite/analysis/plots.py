@@ -17,7 +17,7 @@ from matplotlib.image import AxesImage
 from matplotlib.quiver import Quiver
 
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
-from offairl_lite.core.discriminator import Reward
+from offairl_lite.core.rewards import Reward
 from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, walls
 from offairl_lite.tabular import MOVES
 

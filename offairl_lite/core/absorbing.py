@@ -54,6 +54,18 @@ def absorbing_state(like: Float[Tensor, "*batch O+1"]) -> Float[Tensor, "*batch 
     ).to(like)
 
 
+def hold_still(obs: Float[Tensor, "*batch O+1"], *decided: Tensor) -> tuple[Tensor, ...]:
+    """Return actions (as `pre_tanh`) and log π, with 0 for both in the absorbing state.
+
+    There is nothing to decide there: the one thing to do is done with certainty, and no gradient
+    comes back from it.
+    """
+    ended = is_absorbing(obs)
+    return tuple(
+        x.masked_fill(ended.unsqueeze(-1) if x.ndim > ended.ndim else ended, 0) for x in decided
+    )
+
+
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 

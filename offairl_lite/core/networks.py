@@ -18,7 +18,6 @@ from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from offairl_lite.core.rng import Streams
 
@@ -140,39 +139,6 @@ class StackedMLP:
             gradient = (gradient * self._slope(h)) @ w.transpose(1, 2)
         return value, gradient
 
-    def init_vectors(self, streams: Streams) -> Float[Tensor, "S V"]:
-        """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
-        return self._unit(streams.normal(sum(self.sizes[1:])).split(self.sizes[1:], 1))
-
-    @torch.no_grad()
-    def power_iteration(
-        self, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
-    ) -> Float[Tensor, "S V"]:
-        """Turn unit vectors towards each weight matrix's first right singular vector."""
-        pairs = zip(self.layers(params), vectors.split(self.sizes[1:], 1), strict=True)
-        return self._unit(
-            [(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs]
-        )
-
-    def spectrally_normalised(
-        self, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
-    ) -> Float[Tensor, "S P"]:
-        """Return `params` with each weight matrix divided by its largest singular value.
-
-        That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, u held
-        constant, is the singular value's (Miyato et al. 2018).
-        """
-        parts = []
-        pairs = zip(self.layers(params), vectors.split(self.sizes[1:], 1), strict=True)
-        for (bias, weight), u in pairs:
-            norm = torch.linalg.vector_norm(weight @ u.unsqueeze(-1), dim=(1, 2), keepdim=True)
-            parts += [bias.squeeze(1), (weight / norm.clamp(min=TINY)).flatten(1)]
-        return torch.cat(parts, 1)
-
-    @staticmethod
-    def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
-        return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
-
     def _activate(self, x: Tensor) -> Tensor:
         # tanh, as a sigmoid: PyTorch's tanh takes three times as long as that on a CPU.
         return torch.relu(x) if self.activation == "relu" else 2 * torch.sigmoid(2 * x) - 1
@@ -189,65 +155,6 @@ def _affine(
         # A stack of products with one column each is several times as slow as this.
         return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias
     return torch.baddbmm(bias, x, weight)
-
-
-@dataclass(frozen=True)
-class Bottleneck:
-    """A scalar of a stochastic code z ~ N(μ(x), σ(x)²), linear in z (Peng et al. 2019).
-
-    At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
-
-    Args:
-        sizes: of `net`: features of the input, of each hidden layer, and 1.
-        code: numbers in z.
-        activation: of the hidden layers.
-    """
-
-    sizes: tuple[int, ...]
-    code: int
-    activation: Literal["relu", "tanh"] = "relu"
-
-    @property
-    def net(self) -> StackedMLP:
-        """What is left when z is its mean."""
-        return StackedMLP(self.sizes, self.activation)
-
-    @property
-    def encoder(self) -> StackedMLP:
-        """From x to μ and log σ."""
-        return StackedMLP((*self.sizes[:-1], 2 * self.code), self.activation)
-
-    @property
-    def head(self) -> StackedMLP:
-        """From z to the scalar."""
-        return StackedMLP((self.code, 1))
-
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
-        """Draw the weights of encoder and head."""
-        return torch.cat([self.encoder.init(streams), self.head.init(streams)], 1)
-
-    def at_mean(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S Q"]:
-        """Return the weights of `net`: the head's and those of μ are one linear layer."""
-        encoder, ((head_bias, head_weight),) = self._parts(params)
-        *_, (bias, weight) = self.encoder.layers(encoder)
-        bias = bias[..., : self.code] @ head_weight + head_bias
-        weight = weight[..., : self.code] @ head_weight
-        kept = self.net.num_params - self.sizes[-2] - 1
-        return torch.cat([encoder[:, :kept], bias.flatten(1), weight.flatten(1)], 1)
-
-    def spread(
-        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
-    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
-        """Return the scalar's variance, and KL(N(μ, σ²) ‖ N(0, I)) of the code in nats."""
-        encoder, ((_, head_weight),) = self._parts(params)
-        mean, log_std = self.encoder(encoder, x).chunk(2, -1)
-        variance = (2 * log_std).exp()
-        divergence = (mean.square() + variance - 1).sum(-1) / 2 - log_std.sum(-1)
-        return (variance * head_weight.square().transpose(1, 2)).sum(-1), divergence
-
-    def _parts(self, params: Float[Tensor, "S P"]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
-        return encoder, self.head.layers(head)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017), for a population.
 
-The on-policy generator, as GAIL and the first AIRL had one: it learns from the steps that the
+The on-policy learner, as GAIL and the first AIRL had one: it learns from the steps that the
 present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
 so that log π is the same thing for the discriminator whoever trains the policy. Losses are summed
 over members and averaged over the batch, so that members do not influence one another.
@@ -14,12 +14,15 @@ from torch import Tensor
 
 from offairl_lite.config import Config
 from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, optimizer_states
-from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
 
 CLIP = 0.2
 """How far the ratio of new to old density may move before it stops to pay."""
+
+EPOCHS = 10
+"""How often a block of steps is gone through (Schulman et al. 2017, table 3)."""
 
 GAE_DECAY = 0.95
 """λ of generalised advantage estimation."""
@@ -102,8 +105,9 @@ class PPO:
         config: hyper-parameters; `temperature` is the weight of the entropy.
         obs_dim: O.
         action_dim: A.
-        streams: for the initial weights.
+        rng: for the initial weights.
         normaliser: scales every observation that comes in.
+        absorbing: `none`; a rollout ends where its episode does.
     """
 
     def __init__(
@@ -111,40 +115,35 @@ class PPO:
         config: Config,
         obs_dim: int,
         action_dim: int,
-        streams: Streams,
+        rng: Streams,
         normaliser: Normaliser,
+        absorbing: str = "none",
     ) -> None:
         self.config, self.normaliser = config, normaliser
         self.actor = SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
         self.critic = StackedMLP((obs_dim, *config.hidden, 1))
-        self.actor_params = self.actor.init(streams)
-        self.critic_params = self.critic.init(streams)
+        self.actor_params = self.actor.init(rng)
+        self.critic_params = self.critic.init(rng)
         for last in self.actor.net.layers(self.actor_params)[-1]:
             last *= FIRST_SCALE
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-        self.step = self._step
-        """One update. A faster form of it may take its place."""
 
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
         return optimizer_states({"actor": self.actor_optimizer, "critic": self.critic_optimizer})
 
-    @property
-    def policy(self) -> Policy:
-        """The actor as it is now; later updates do not change it."""
-        params = self.actor_params.detach().clone()
-        return Policy(self.config.env_id, self.actor, params, self.normaliser)
-
     @torch.no_grad()
     def log_prob(
-        self, batch: Batch, actor_params: Float[Tensor, "S P"] | None = None
+        self,
+        actor_params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        pre_tanh: Float[Tensor, "S B A"],
     ) -> Float[Tensor, "S B"]:
-        """Return log π(a|s) of the batch's actions, under the current actor or under another."""
-        params = self.actor_params if actor_params is None else actor_params
-        obs = self.normaliser(batch.obs)
-        return self.actor.log_prob(params, obs, batch.pre_tanh, self.config.log_density)
+        """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
+        obs = self.normaliser(obs)
+        return self.actor.log_prob(actor_params, obs, pre_tanh, self.config.log_density)
 
     @torch.no_grad()
     def rollout(self, block: Batch, reward: Float[Tensor, "S T"]) -> Rollout:
@@ -182,11 +181,6 @@ class PPO:
         Returns:
             Losses and diagnostics of each member.
         """
-        return self.step(minibatch, noise)
-
-    def _step(
-        self, minibatch: Rollout, noise: Float[Tensor, "S B A"]
-    ) -> dict[str, Float[Tensor, "S"]]:
         obs, pre_tanh, old_log_prob, advantage, target = minibatch
         log_prob = self.actor.log_prob(self.actor_params, obs, pre_tanh)
         entropy = -self.actor.sample(self.actor_params, obs, noise)[1].mean(-1)

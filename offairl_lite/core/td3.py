@@ -1,6 +1,6 @@
 """Twin delayed deterministic policy gradient (Fujimoto et al. 2018), for a population.
 
-DAC's generator and one of the paper's candidates for an expert. It differs from SAC in what it
+DAC's learner and one of the paper's candidates for an expert. It differs from SAC in what it
 adds to the next action, a clipped noise that smooths the critic, and in having no entropy.
 """
 
@@ -9,12 +9,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offairl_lite.config import Config
-from offairl_lite.core.absorbing import analytic_return, is_absorbing
+from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbing
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
-from offairl_lite.core.policies import Deterministic, Policy
+from offairl_lite.core.policies import Deterministic
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
-from offairl_lite.core.sac import actor_loss, bellman_target, critic_loss
+from offairl_lite.core.sac import bellman_target, critic_loss
 
 SMOOTHING_STD = 0.2
 SMOOTHING_CLIP = 0.5
@@ -35,8 +35,9 @@ class TD3:
         config: hyper-parameters.
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
-        streams: for the initial weights.
+        rng: for the initial weights.
         normaliser: scales every observation that comes in.
+        absorbing: what follows a termination, as in `Schedule.absorbing`.
     """
 
     def __init__(
@@ -44,34 +45,26 @@ class TD3:
         config: Config,
         obs_dim: int,
         action_dim: int,
-        streams: Streams,
+        rng: Streams,
         normaliser: Normaliser,
+        absorbing: str = "none",
     ) -> None:
-        self.config, self.normaliser = config, normaliser
+        self.config, self.normaliser, self.absorbing = config, normaliser, absorbing
         self.actor = Deterministic(obs_dim, action_dim, config.hidden)
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
-        self.actor_params = self.actor.init(streams)
-        self.critic_params = self.critic.init(streams)
+        self.actor_params = self.actor.init(rng)
+        self.critic_params = self.critic.init(rng)
         self.target_actor_params = self.actor_params.clone()
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-        self.updates = 0
-        self.step = self._step
-        """One update, the delayed part too or not. A faster form of it may take its place."""
 
     @property
     def state(self) -> dict[str, Tensor]:
-        """Everything that updates change, but their number: the tensors themselves."""
+        """Everything that updates change: the tensors themselves."""
         optimizers = {"actor": self.actor_optimizer, "critic": self.critic_optimizer}
         targets = {"target": self.target_params, "target_actor": self.target_actor_params}
         return {**targets, **optimizer_states(optimizers)}
-
-    @property
-    def policy(self) -> Policy:
-        """The actor as it is now; later updates do not change it."""
-        params = self.actor_params.detach().clone()
-        return Policy(self.config.env_id, self.actor, params, self.normaliser)
 
     def update(
         self,
@@ -79,33 +72,22 @@ class TD3:
         reward: Float[Tensor, "S B"],
         absorbing_reward: Float[Tensor, "S 1"],
         noise: Float[Tensor, "2 S B A"],
+        delayed: bool,
     ) -> dict[str, Float[Tensor, "S"]]:
-        """Train the critics once, and every `actor_delay`-th time actor and targets.
+        """Train the critics and, if it is their turn, actor and targets.
 
         Args:
             batch: transitions; their own reward is not looked at.
             reward: what to maximise.
             absorbing_reward: r(s_a), used where `absorbing` is `analytic`.
             noise: standard normal; only the first half is used.
+            delayed: whether it is the turn of actor and targets.
 
         Returns:
             Losses and diagnostics of each member.
         """
-        self.updates += 1
-        delayed = self.updates % self.config.actor_delay == 0
-        return self.step(batch, reward, absorbing_reward, noise, delayed)
-
-    def _step(
-        self,
-        batch: Batch,
-        reward: Float[Tensor, "S B"],
-        absorbing_reward: Float[Tensor, "S 1"],
-        noise: Float[Tensor, "2 S B A"],
-        delayed: bool,
-    ) -> dict[str, Float[Tensor, "S"]]:
-        config = self.config
         obs = self.normaliser(batch.obs)
-        target = self._target(batch, reward, absorbing_reward, noise[0])
+        target = self.target(batch, reward, absorbing_reward, noise[0])
         q = self.critic(self.critic_params, obs, batch.action)
         descend(critic_loss(q, target), self.critic_optimizer)
         metrics = {
@@ -113,34 +95,33 @@ class TD3:
             "q": q.detach().mean((0, 2)),
         }
         if delayed:
-            action = self.actor.mode(self.actor_params, obs)
-            value = self.critic(self.critic_params.detach(), obs, action)[0]
-            weight = torch.ones_like(value)
-            if config.absorbing != "none":
-                weight = (~is_absorbing(batch.obs)).to(value)
-            descend(actor_loss(value, weight), self.actor_optimizer)
+            action = self._still(obs, self.actor.mode(self.actor_params, obs))
+            q = self.critic(self.critic_params.detach(), obs, action)[0]
+            descend(-q.mean(-1).sum(), self.actor_optimizer)
             with torch.no_grad():
-                self.target_params.lerp_(self.critic_params, config.target_rate)
-                self.target_actor_params.lerp_(self.actor_params, config.target_rate)
+                rate = self.config.target_rate
+                self.target_params.lerp_(self.critic_params, rate)
+                self.target_actor_params.lerp_(self.actor_params, rate)
         return metrics
 
     @torch.no_grad()
-    def _target(
+    def target(
         self,
         batch: Batch,
         reward: Float[Tensor, "S B"],
         absorbing_reward: Float[Tensor, "S 1"],
         noise: Float[Tensor, "S B A"],
     ) -> Float[Tensor, "S B"]:
-        config = self.config
+        """Return y, towards which the critics are drawn."""
         next_obs = self.normaliser(batch.next_obs)
         action = smoothed_action(self.actor.mode(self.target_actor_params, next_obs), noise)
-        if config.absorbing != "none":
-            ended = is_absorbing(batch.next_obs)
-            action = action.masked_fill(ended.unsqueeze(-1), 0)
+        action = self._still(next_obs, action)
         next_value = self.critic(self.target_params, next_obs, action).amin(0)
-        target = bellman_target(reward, batch.terminated, next_value, config.discount)
-        if config.absorbing == "analytic":
-            known = analytic_return(reward, absorbing_reward, config.discount)
-            target = torch.where(ended, known, target)
+        target = bellman_target(reward, batch.terminated, next_value, self.config.discount)
+        if self.absorbing == "analytic":
+            known = analytic_return(reward, absorbing_reward, self.config.discount)
+            target = torch.where(is_absorbing(next_obs), known, target)
         return target
+
+    def _still(self, obs: Float[Tensor, "S B O"], action: Float[Tensor, "S B A"]) -> Tensor:
+        return action if self.absorbing == "none" else hold_still(obs, action)[0]

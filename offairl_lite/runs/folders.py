@@ -30,18 +30,29 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import demonstrations as data
-from offairl_lite.runs import disk
 from offairl_lite.config import Config
-from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Row, Trainer, complete
 from offairl_lite.core.networks import Normaliser, load_weights, save_weights
 from offairl_lite.core.policies import Policy
-from offairl_lite.runs.provenance import changed, origin
-from offairl_lite.runs.records import FORMAT, HEADER, Plan, lines, merged, read, read_json, require_format, write_json, write_whole
 from offairl_lite.core.replay import Replay
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.runs import disk
+from offairl_lite.runs.provenance import changed, origin
+from offairl_lite.runs.records import (
+    FORMAT,
+    HEADER,
+    Plan,
+    lines,
+    merged,
+    read,
+    read_json,
+    require_format,
+    write_json,
+    write_whole,
+)
 
 log = logging.getLogger(__name__)
 

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from offairl_lite.config import Config
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.loop import Row, Run
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 
 FORMAT = 2
 """Of run folders and checkpoints; it changes when older ones can no longer be read."""

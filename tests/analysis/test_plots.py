@@ -7,8 +7,8 @@ from matplotlib.colors import to_hex
 from offairl_lite import tabular
 from offairl_lite.analysis import plots
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.networks import Normaliser, StackedMLP
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.envs.models import GOAL
 

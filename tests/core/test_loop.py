@@ -13,12 +13,13 @@ from offairl_lite.config import RELEASE
 from offairl_lite.core import absorbing
 from offairl_lite.core import loop as imitate
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.discriminator import Discriminator, Reward
+from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.loop import Trainer, complete, train
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.ppo import PPO
 from offairl_lite.core.replay import Batch
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.rollouts import NotFiniteError, rollout
 from offairl_lite.core.sac import SAC, stochastic_actor

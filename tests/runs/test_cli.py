@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS

@@ -18,11 +18,11 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from offairl_lite.core import networks
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import SAC, stochastic_actor
 from offairl_lite.demonstrations import Demonstrations, load

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.loop import Row, train
 from offairl_lite.core.networks import Normaliser, save_weights
 from offairl_lite.core.policies import Deterministic, Policy
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.runs.records import (
     HEADER,

@@ -1,0 +1,130 @@
+"""Other ways to keep a discriminator from being too steep or too sure (chapter 6)."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from offairl_lite.core.discriminator import Discriminator, Transitions
+from offairl_lite.core.networks import TINY, StackedMLP
+from offairl_lite.core.rewards import log_odds
+from offairl_lite.core.rng import Streams
+
+
+class OneSided(Discriminator):
+    """Punishes only slopes above 1, max(0, ‖∇f‖ - 1)²: flat is no fault (Petzka et al. 2018)."""
+
+    def gradient_norm(
+        self,
+        expert: Transitions,
+        policy: Transitions,
+        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
+        coefficient: Float[Tensor, "S B 4"],
+    ) -> Float[Tensor, "S B"]:
+        """Return ‖∇f‖, or 1 where it is smaller."""
+        return super().gradient_norm(expert, policy, log_probs, coefficient).clamp(min=1)
+
+
+class OnProbability(Discriminator):
+    """The released penalty: ‖∇_s D‖ of the probability, by the state alone.
+
+    s, a, s' and log π are mixed with a coefficient of their own each.
+    """
+
+    @property
+    def needs_log_prob(self) -> bool:
+        """Whether the loss contains log π: the penalty does, where there is a policy."""
+        return self.has_policy
+
+    def gradient_norm(
+        self,
+        expert: Transitions,
+        policy: Transitions,
+        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
+        coefficient: Float[Tensor, "S B 4"],
+    ) -> Float[Tensor, "S B"]:
+        """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
+        *shares, share = coefficient.unbind(-1)
+        mixed = [
+            torch.lerp(p, e, c.unsqueeze(-1))
+            for e, p, c in zip(expert, policy, shares, strict=True)
+        ]
+        logit, gradients = self.f_and_gradients(Transitions(*mixed))
+        if self.has_policy:
+            expert_log_prob, policy_log_prob = log_probs
+            logit = log_odds(logit, torch.lerp(policy_log_prob, expert_log_prob, share))
+        d = torch.sigmoid(logit)
+        square = gradients.obs.square().sum(-1) * (d * (1 - d)).square()
+        return (square + TINY).sqrt()
+
+
+def init_vectors(net: StackedMLP, rng: Streams) -> Float[Tensor, "S V"]:
+    """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
+    return _unit(rng.normal(sum(net.sizes[1:])).split(net.sizes[1:], 1))
+
+
+@torch.no_grad()
+def power_iteration(
+    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
+) -> Float[Tensor, "S V"]:
+    """Turn unit vectors towards each weight matrix's first right singular vector."""
+    pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)
+    return _unit([(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs])
+
+
+def spectrally_normalised(
+    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
+) -> Float[Tensor, "S P"]:
+    """Return `params` with each weight matrix divided by its largest singular value.
+
+    That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, with u held
+    constant, is the singular value's (Miyato et al. 2018).
+    """
+    parts = []
+    pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)
+    for (bias, weight), u in pairs:
+        norm = torch.linalg.vector_norm(weight @ u.unsqueeze(-1), dim=(1, 2), keepdim=True)
+        parts += [bias.squeeze(1), (weight / norm.clamp(min=TINY)).flatten(1)]
+    return torch.cat(parts, 1)
+
+
+def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
+    return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
+
+
+class SpectralNorm(Discriminator):
+    """Divides each weight matrix of r and V by its largest singular value (Miyato et al. 2018).
+
+    The slopes of both are then at most 1.
+    """
+
+    def init(self, rng: Streams) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+        """Draw the initial weights, and vectors for the power iteration."""
+        params = super().init(rng)
+        self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]
+        return params
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Everything that updates change: the tensors themselves."""
+        vectors = zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
+        return super().state | dict(vectors)
+
+    @property
+    def reward_weights(self) -> Float[Tensor, "S P"]:
+        """The weights of `reward_net`, made of those that are trained."""
+        return spectrally_normalised(self.reward_net, self.reward_params, self.vectors[0])
+
+    @property
+    def value_weights(self) -> Float[Tensor, "S Q"]:
+        """The weights of `value_net`, made of those that are trained."""
+        return spectrally_normalised(self.value_net, self.value_params, self.vectors[1])
+
+    def update(self, *minibatch) -> dict[str, Float[Tensor, "S"]]:
+        """Turn the vectors towards the singular ones, and take one step down the loss."""
+        trained = (self.reward_net, self.reward_params), (self.value_net, self.value_params)
+        for (net, params), vectors in zip(trained, self.vectors, strict=True):
+            vectors.copy_(power_iteration(net, params, vectors))
+        return super().update(*minibatch)

@@ -1,0 +1,63 @@
+"""What training reports: evaluations, and the run that they make up."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from offairl_lite.config import Config
+from offairl_lite.core.discriminator import Reward
+from offairl_lite.core.policies import Policy
+
+
+class Row(NamedTuple):
+    """One evaluation of one member.
+
+    Args:
+        seed: of the member.
+        step: environment steps before the evaluation.
+        episodes: training episodes that had ended by then.
+        mean_return: mean over the evaluation's episodes of the task's own reward, undiscounted.
+        returns: of each of these episodes.
+        learned_return: mean over the episodes of the summed learned reward; NaN where none is
+            learned.
+        metrics: diagnostics of the last update, by name.
+    """
+
+    seed: int
+    step: int
+    episodes: int
+    mean_return: float
+    returns: tuple[float, ...]
+    learned_return: float
+    metrics: dict[str, float]
+
+
+@dataclass
+class Run:
+    """The result of a run: its learning curve, and the policies and rewards at its end.
+
+    `diverged` gives, by seed, the reason why a member was given up. Such a member has no rows from
+    there on, and its weights are zeros.
+    """
+
+    config: Config
+    seeds: tuple[int, ...]
+    rows: list[Row] = field(default_factory=list)
+    policy: Policy | None = None
+    reward: Reward | None = None
+    diverged: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Environment steps of the evaluations, `(K,)`."""
+        return np.unique([row.step for row in self.rows])
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
+        table = np.full((len(self.seeds), len(self.steps)), np.nan)
+        for row in self.rows:
+            column = np.searchsorted(self.steps, row.step)
+            table[self.seeds.index(row.seed), column] = row.mean_return
+        return table
