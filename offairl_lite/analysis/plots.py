@@ -114,7 +114,7 @@ def reward_map(
 
 
 def grid(ax: Axes, values: Float[np.ndarray, "S"], side: str) -> AxesImage:
-    """Draw a function of the squares of `tabular.maze`, in their order, over the maze."""
+    """Draw a function of the state of `tabular.mazes.maze`, one value per square, over the maze."""
     cells = math.isqrt(len(values))
     low, high = walls(side)[:4].min(), walls(side)[:4].max()
     extent = (low, high, low, high)
@@ -131,7 +131,10 @@ def arrows(
     positions: Float[np.ndarray, "S 2"],
     color: str = "white",
 ) -> Quiver:
-    """Draw the mean move of a policy of `tabular.maze` in each square; the undecided are short."""
+    """Draw the mean move of a policy in each square of `tabular.mazes.maze`, from its `positions`.
+
+    Where the policy is undecided, its moves cancel and the arrow is short.
+    """
     size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
     move = 0.9 * size * (policy @ MOVES)
     return ax.quiver(
