@@ -14,6 +14,8 @@ from mujoco.batch import Batch
 from offairl_lite.envs.raycast import render
 from offairl_lite.envs.tasks import TASKS, Physics
 
+Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]
+"""Observations, rewards, terminated, truncated, each over the members, and a dictionary."""
 FRAME_SIZE = 240
 """Width and height of a rendered frame, in pixels."""
 
@@ -63,12 +65,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             raise ValueError(f"autoreset_mode must be NEXT_STEP or DISABLED, not {autoreset_mode}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
-        self.task = TASKS[task]
-        self.num_envs = num_envs
-        self.render_mode = render_mode
-        self.max_episode_steps = (
-            self.task.max_episode_steps if max_episode_steps is None else max_episode_steps
-        )
+        self.task, self.num_envs, self.render_mode = TASKS[task], num_envs, render_mode
+        limit = self.task.max_episode_steps
+        self.max_episode_steps = limit if max_episode_steps is None else max_episode_steps
 
         model = self.task.model()
         # Contact forces are computed from a member's whole MjData, which only a persistent batch
@@ -126,9 +125,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._start(np.flatnonzero(mask))
         return self._observations.copy(), {}
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step; in mode NEXT_STEP, reset the finished members instead.
 
         Args:
@@ -164,14 +161,10 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything that later steps depend on, as arrays for `set_state`."""
-        return {
-            "physics": self._batch.state.copy(),
-            "torso": self._physics.torso.copy(),
-            "contact": self._physics.contact.copy(),
-            "clock": self._clock.copy(),
-            "idle": self._idle.copy(),
-            "generators": generator_words(self.np_random, self),
-        }
+        torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
+        state = {"physics": self._batch.state.copy(), "torso": torso, "contact": contact}
+        progress = {"clock": self._clock.copy(), "idle": self._idle.copy()}
+        return {**state, **progress, "generators": generator_words(self.np_random, self)}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue exactly from a state that `get_state` returned, here or in another `BatchedEnv`.

@@ -11,6 +11,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers.vector import RescaleAction
 
 from offairl_lite.envs.batched import (
+    Step,
     generator_words,
     member_seeds,
     require_episodes,
@@ -95,9 +96,7 @@ class SerialEnv(VectorWrapper):
             self._seeds[i], self._starts[i] = None, start
         return observations, info
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step.
 
         Raises:

@@ -38,31 +38,35 @@ class Physics(NamedTuple):
 Noise = Callable[[np.random.Generator, mujoco.MjModel], tuple[np.ndarray, np.ndarray]]
 
 
+def _never(physics: Physics) -> np.ndarray:
+    return np.zeros(len(physics.qpos), bool)
+
+
 @dataclass(frozen=True)
 class Task:
     """A task.
 
     Attributes:
         model: builds the model.
-        frame_skip: number of physics steps in one environment step.
-        max_episode_steps: number of environment steps after which an episode is truncated.
         camera: the camera of its frames.
         noise: draws the noise that a reset adds to the model's `qpos0`, (nq,), and to zero
             velocity, (nv,).
         observe: physics -> observations, (n, O) float64.
         reward: physics before, actions (n, A), physics after, seconds in between -> (n,) float64.
         terminated: physics -> whether the task itself has ended the episode, (n,) bool.
+        frame_skip: number of physics steps in one environment step.
+        max_episode_steps: number of environment steps after which an episode is truncated.
         contact_forces: whether `Physics.contact` is computed.
     """
 
     model: Callable[[], mujoco.MjModel]
-    frame_skip: int
-    max_episode_steps: int
     camera: Camera
     noise: Noise
     observe: Callable[[Physics], np.ndarray]
     reward: Callable[[Physics, np.ndarray, Physics, float], np.ndarray]
-    terminated: Callable[[Physics], np.ndarray]
+    terminated: Callable[[Physics], np.ndarray] = _never
+    frame_skip: int = 5
+    max_episode_steps: int = 1000
     contact_forces: bool = False
 
 
@@ -97,10 +101,6 @@ def _forward(before: Physics, after: Physics, seconds: float) -> np.ndarray:
     return (after.qpos[:, 0] - before.qpos[:, 0]) / seconds
 
 
-def _never(physics: Physics) -> np.ndarray:
-    return np.zeros(len(physics.qpos), bool)
-
-
 MARSH_COST = 2.0
 """Cost of a step that begins in the marsh, in addition to the distance from the goal."""
 
@@ -112,36 +112,9 @@ def in_marsh(position: np.ndarray) -> np.ndarray:
     return ((position > low) & (position < high)).all(-1)
 
 
-def _ant_observation(first_body: int) -> Callable[[Physics], np.ndarray]:
-    def observe(physics):
-        contact = physics.contact[:, first_body:].reshape(len(physics.contact), -1)
-        return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
-
-    return observe
-
-
 def _custom_ant_reward(before, actions, after, seconds):
     flipped = after.qpos[:, 2] < 0.2
     return before.qvel[:, 0] - 0.01 * _effort(actions) - _impact(after) - flipped
-
-
-def _cheetah_observation(physics: Physics) -> np.ndarray:
-    return np.concatenate([physics.qpos[:, 1:], physics.qvel], axis=1)
-
-
-def _cheetah_reward(before, actions, after, seconds):
-    return _forward(before, after, seconds) - 0.1 * _effort(actions)
-
-
-def _biped_observation(physics: Physics) -> np.ndarray:
-    return np.concatenate([physics.qpos[:, 1:], np.clip(physics.qvel, -10, 10)], axis=1)
-
-
-def _biped_reward(healthy: Callable[[Physics], np.ndarray]):
-    def reward(before, actions, after, seconds):
-        return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
-
-    return reward
 
 
 def _hopper_healthy(physics: Physics) -> np.ndarray:
@@ -188,16 +161,8 @@ def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, marsh_cost: f
         distance = np.linalg.norm(position - models.GOAL, axis=1)
         return -distance - 0.001 * _effort(actions) - marsh_cost * in_marsh(position)
 
-    return Task(
-        model=model,
-        frame_skip=5,
-        max_episode_steps=100,
-        camera=Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False),
-        noise=_maze_noise,
-        observe=observe,
-        reward=reward,
-        terminated=_never,
-    )
+    camera = Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False)
+    return Task(model, camera, _maze_noise, observe, reward, max_episode_steps=100)
 
 
 def _point_maze(side: models.Side) -> Task:
@@ -209,17 +174,13 @@ def _point_marsh(start: np.ndarray) -> Task:
 
 
 def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated) -> Task:
-    return Task(
-        model=model,
-        frame_skip=5,
-        max_episode_steps=1000,
-        camera=Camera(lookat=(0, 0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1),
-        noise=_uniform_and_normal(0.1),
-        observe=_ant_observation(first_body),
-        reward=reward,
-        terminated=terminated,
-        contact_forces=True,
-    )
+    def observe(physics):
+        contact = physics.contact[:, first_body:].reshape(len(physics.contact), -1)
+        return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
+
+    camera = Camera(lookat=(0, 0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
+    noise = _uniform_and_normal(0.1)
+    return Task(model, camera, noise, observe, reward, terminated, contact_forces=True)
 
 
 def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
@@ -227,16 +188,33 @@ def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
 
 
 def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
+    def observe(physics):
+        return np.concatenate([physics.qpos[:, 1:], np.clip(physics.qvel, -10, 10)], axis=1)
+
+    def reward(before, actions, after, seconds):
+        return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
+
     return Task(
         model=lambda: _gymnasium_model(file),
-        frame_skip=4,
-        max_episode_steps=1000,
         camera=Camera(lookat=(0.0, 0.0, 0.8), distance=3.2, elevation=-12, body=1),
         noise=_uniform(5e-3),
-        observe=_biped_observation,
-        reward=_biped_reward(healthy),
+        observe=observe,
+        reward=reward,
         terminated=lambda physics: ~healthy(physics),
+        frame_skip=4,
     )
+
+
+def _half_cheetah() -> Task:
+    def observe(physics):
+        return np.concatenate([physics.qpos[:, 1:], physics.qvel], axis=1)
+
+    def reward(before, actions, after, seconds):
+        return _forward(before, after, seconds) - 0.1 * _effort(actions)
+
+    camera = Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1)
+    noise = _uniform_and_normal(0.1)
+    return Task(lambda: _gymnasium_model("half_cheetah.xml"), camera, noise, observe, reward)
 
 
 TASKS: dict[str, Task] = {
@@ -248,16 +226,7 @@ TASKS: dict[str, Task] = {
     "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
     "offairl/PointMarsh-v0": _point_marsh(models.START),
     "offairl/PointMarshWest-v0": _point_marsh(models.WEST),
-    "HalfCheetah-v5": Task(
-        model=lambda: _gymnasium_model("half_cheetah.xml"),
-        frame_skip=5,
-        max_episode_steps=1000,
-        camera=Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1),
-        noise=_uniform_and_normal(0.1),
-        observe=_cheetah_observation,
-        reward=_cheetah_reward,
-        terminated=_never,
-    ),
+    "HalfCheetah-v5": _half_cheetah(),
     "Hopper-v5": _biped("hopper.xml", _hopper_healthy),
     "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy),
     "Ant-v5": _ant(
