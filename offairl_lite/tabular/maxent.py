@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from offairl_lite.tabular.mdp import MDP
 from offairl_lite.tabular.paths import path_messages, path_occupancy
-from offairl_lite.tabular.planning import occupancy, soft_value_iteration
+from offairl_lite.tabular.planning import occupancy, require_temperature, soft_value_iteration
 
 Form = Literal["causal", "paths"]
 
@@ -37,7 +37,7 @@ def log_likelihood(
 
     Args:
         mdp: the process; for `"paths"` with a horizon and discount 1.
-        reward: r.
+        reward: r, of the state, of the pair, or of the pair and the next state.
         demonstrated: ρ_E, from `planning.occupancy` or `sampling.empirical_occupancy`.
         temperature: α > 0.
         form: `"causal"` or `"paths"`.
@@ -85,11 +85,11 @@ def maxent_irl(
     learns any r(s); one per pair, `eye_array(S * A)`, any r(s, a).
 
     Args:
-        mdp: see `log_likelihood`.
-        demonstrated: see `log_likelihood`.
+        mdp: the process, as in `log_likelihood`.
+        demonstrated: ρ_E, as there.
         features: dense or sparse, (S, K) for a reward of the state, (S·A, K) for one of the pair.
         temperature: α > 0, the unit of the reward; demonstrations determine only r/α.
-        form: `"causal"` or `"paths"`, see `log_likelihood`.
+        form: `"causal"` or `"paths"`.
         penalty: λ ≥ 0.
         iterations: the largest number of steps.
 
@@ -154,8 +154,7 @@ def _likelihood(
 
 def _checked(mdp: MDP, demonstrated: Array, temperature: float) -> Float[Array, "S A"]:
     """Return the demonstrated visits if some policy of the process can have made them."""
-    if not 0 < temperature < np.inf:
-        raise ValueError(f"temperature must be above 0 and finite, not {temperature}")
+    require_temperature(temperature, positive=True)
     demonstrated = np.asarray(demonstrated, dtype=float)
     shape = (mdp.num_states, mdp.num_actions)
     if demonstrated.shape != shape:

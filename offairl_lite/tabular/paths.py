@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from scipy.sparse import csr_array
 
 from offairl_lite.tabular.mdp import MDP
-from offairl_lite.tabular.planning import Solution, backward_induction
+from offairl_lite.tabular.planning import Solution, backward_induction, require_temperature
 
 
 def path_messages(mdp: MDP, reward: Array, temperature: float = 1.0) -> Solution:
@@ -71,5 +71,4 @@ def _require_paths(mdp: MDP, temperature: float) -> None:
             "a distribution over whole paths needs a horizon and discount 1, not horizon "
             f"{mdp.horizon} and discount {mdp.discount}; form='causal' takes any"
         )
-    if not 0 < temperature < np.inf:
-        raise ValueError(f"temperature must be above 0 and finite, not {temperature}")
+    require_temperature(temperature, positive=True)

@@ -49,7 +49,7 @@ def soft_value_iteration(
 
     Args:
         mdp: the process.
-        reward: r.
+        reward: r, of the state, of the pair, or of the pair and the next state.
         temperature: α ≥ 0, in units of the reward.
         guess: V from which value iteration starts; by default 0. Not used with a horizon.
 
@@ -57,7 +57,7 @@ def soft_value_iteration(
         ArithmeticError: value iteration has not converged.
     """
     reward = mdp.expected_reward(reward)
-    _require_temperature(temperature)
+    require_temperature(temperature)
     if mdp.horizon is not None:
         return backward_induction(mdp, reward, temperature, mdp.expect)
     value = np.zeros(mdp.num_states) if guess is None else guess
@@ -97,7 +97,7 @@ def soft_evaluation(
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)
-    _require_temperature(temperature)
+    require_temperature(temperature)
     with np.errstate(divide="ignore"):
         log_policy = np.log(policy)
     gain = (policy * reward + temperature * entr(policy)).sum(-1)
@@ -159,6 +159,8 @@ def _flow_matrix(mdp: MDP, policy: Float[Array, "S A"]):
     return (eye_array(mdp.num_states) - mdp.discount * (mix @ mdp.transition)).tocsc()
 
 
-def _require_temperature(temperature: float) -> None:
-    if not 0 <= temperature < np.inf:
-        raise ValueError(f"temperature must be at least 0 and finite, not {temperature}")
+def require_temperature(temperature: float, positive: bool = False) -> None:
+    """Raise ValueError unless α is finite and at least 0, or above 0 if it must be positive."""
+    if not 0 <= temperature < np.inf or (positive and temperature == 0):
+        least = "above" if positive else "at least"
+        raise ValueError(f"temperature must be {least} 0 and finite, not {temperature}")

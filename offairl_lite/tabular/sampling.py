@@ -28,7 +28,7 @@ def sample(
 
     Args:
         mdp: the process.
-        policy: π.
+        policy: the policy, π.
         episodes: number of trajectories, N.
         rng: the source of all randomness.
         length: number of actions in each trajectory, at most the horizon, which is the default.
@@ -93,17 +93,13 @@ def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
             )
     for t in range(length):
         rows = mdp.transition[states[:, t] * mdp.num_actions + actions[:, t]].toarray()
-        impossible = np.flatnonzero(rows[np.arange(len(rows)), states[:, t + 1]] == 0)
-        if len(impossible):
-            n = int(impossible[0])
+        for n in np.flatnonzero(rows[np.arange(len(rows)), states[:, t + 1]] == 0):
             raise ValueError(
                 f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
                 f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that "
                 "it was recorded in this process"
             )
-    impossible = np.flatnonzero(mdp.initial[states[:, 0]] == 0)
-    if len(impossible):
-        n = int(impossible[0])
+    for n in np.flatnonzero(mdp.initial[states[:, 0]] == 0):
         raise ValueError(
             f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
         )
