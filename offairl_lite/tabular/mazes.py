@@ -47,7 +47,7 @@ def maze(
 
     Raises:
         ValueError: there are fewer than 3 cells, which leave no room for the barrier; the side is
-            unknown; the slip is outside [0, 1]; or `MDP` refuses the discount or the horizon.
+            unknown; the slip is outside [0, 1]; or `mdp.MDP` refuses the discount or the horizon.
     """
     if cells < 3:
         raise ValueError(f"the maze needs at least 3 cells a side, not {cells}")

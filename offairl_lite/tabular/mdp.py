@@ -104,7 +104,11 @@ class MDP:
         return np.broadcast_to(reward.T, (a, s)).T if reward.ndim == 1 else reward
 
     def checked_policy(self, policy: Array) -> Float[Array, "*T S A"]:
-        """Return a policy, with a time axis if there is a horizon; refuse what is no policy."""
+        """Return a policy, with a time axis if there is a horizon.
+
+        Raises:
+            ValueError: the policy has another shape, or is not a distribution over actions.
+        """
         policy = np.asarray(policy, dtype=float)
         shape = (self.num_states, self.num_actions)
         timed = shape if self.horizon is None else (self.horizon, *shape)

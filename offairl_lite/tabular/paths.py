@@ -39,8 +39,15 @@ def path_occupancy(mdp: MDP, messages: Solution, temperature: float = 1.0) -> Fl
     """Return Σ_t p(s_t = s, a_t = a) under the distribution over paths of `path_messages`.
 
     This is not the occupancy of its policy: under the distribution over paths the dynamics are
-    tilted as well, to p(s' | s, a) exp(V(s')/α) / E[exp(V/α)]. Arguments and errors are those of
-    `path_messages`, whose result `messages` is.
+    tilted as well, to p(s' | s, a) exp(V(s')/α) / E[exp(V/α)].
+
+    Args:
+        mdp: the process, with a horizon and discount 1.
+        messages: the result of `path_messages`.
+        temperature: the temperature α of these messages.
+
+    Raises:
+        ValueError: the process has no horizon or a discount below 1, or α is not above 0.
     """
     _require_paths(mdp, temperature)
     total, states = np.zeros(messages.policy.shape[1:]), mdp.initial

@@ -54,6 +54,7 @@ def soft_value_iteration(
         guess: V from which value iteration starts; by default 0. Not used with a horizon.
 
     Raises:
+        ValueError: the reward has another shape or is not finite, or the temperature is negative.
         ArithmeticError: value iteration has not converged.
     """
     reward = mdp.expected_reward(reward)
@@ -92,8 +93,12 @@ def soft_evaluation(
     """Return the soft values of a given policy: its return plus α times its entropy.
 
     V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. The
-    first entropy counted is that of the state itself, as in V of `soft_value_iteration`. With a
+    sum begins with the entropy in the state itself, as V of `soft_value_iteration` does. With a
     temperature of 0 these are the ordinary values.
+
+    Raises:
+        ValueError: a shape does not fit the process, the policy is not a distribution over actions,
+            the reward is not finite, or the temperature is negative.
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)

@@ -32,6 +32,9 @@ def sample(
         episodes: number of trajectories, N.
         rng: the source of all randomness.
         length: number of actions in each trajectory, at most the horizon, which is the default.
+
+    Raises:
+        ValueError: the policy does not fit the process, or the length does not fit the horizon.
     """
     policy = mdp.checked_policy(policy)
     length = mdp.horizon if length is None else length
