@@ -169,3 +169,18 @@ def shipped_experts(tmp_path, monkeypatch):
     policy.save(tmp_path / "experts" / "PointMazeLeft.safetensors")
     monkeypatch.setattr(module, "EXPERTS", tmp_path / "experts")
     return policy
+
+
+@pytest.fixture
+def own():
+    """Register tasks of one's own, until the test is over."""
+    made = []
+
+    def register(env_id, entry_point="own_task:Arm", **kwargs):
+        made.append(env_id)
+        gymnasium.register(env_id, entry_point=entry_point, max_episode_steps=5, kwargs=kwargs)
+        return env_id
+
+    yield register
+    for env_id in made:
+        del gymnasium.registry[env_id]

@@ -1,13 +1,13 @@
-r"""How far apart two rewards are, whatever their shift, scale and shaping: the EPIC distance.
+r"""The EPIC distance between two rewards, which ignores their shift, scale and shaping.
 
 Gleave et al., "Quantifying Differences in Reward Functions" (2021). A reward is first brought into
-a form that potential shaping leaves alone,
+a canonical form that potential shaping does not change,
 
 $$C(R)(s, a, s') = R(s, a, s') + \mathbb{E}\big[
     \gamma R(s', A, S') - R(s, A, S') - \gamma R(S, A, S')\big],$$
 
-with S, A and S' drawn independently of one another; then two of them are compared by Pearson's
-distance $\sqrt{(1 - \rho) / 2}$ over transitions (section 4 of the paper).
+with S, A and S' drawn independently of one another. Two canonical rewards are then compared by the
+Pearson distance $\sqrt{(1 - \rho) / 2}$ over transitions (section 4 of the paper).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from torch import Tensor
 
 
 class Transitions(NamedTuple):
-    """States, actions and next states, row by row."""
+    """N transitions, one per row."""
 
     obs: Float[Tensor, "N O"]
     action: Float[Tensor, "N A"]
@@ -29,20 +29,20 @@ class Transitions(NamedTuple):
 RewardFunction = Callable[
     [Float[Tensor, "N O"], Float[Tensor, "N A"], Float[Tensor, "N O"]], Float[Tensor, "N"]
 ]
-"""R(s, a, s') of transitions."""
+"""A function that returns R(s, a, s') of transitions."""
 
 
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return the canonically shaped reward of transitions.
+    """Return the canonically shaped reward C(R)(s, a, s') of transitions, (N,).
 
-    Shaping by any potential adds one and the same constant to it, whatever the samples.
+    Shaping R by a potential adds the same constant to C(R) for every transition.
 
     Args:
         reward: R(s, a, s').
-        transitions: where it is wanted, N of them.
-        samples: M draws of (S, A, S'), each column independent of the others.
+        transitions: N transitions (s, a, s').
+        samples: M draws of (S, A, S'), each column independent of the other columns.
         discount: γ.
     """
     count, draws = len(transitions.obs), len(samples.obs)
@@ -50,7 +50,7 @@ def canonical(
     next_obs = samples.next_obs.repeat(count, 1)
 
     def mean_from(obs: Float[Tensor, "N O"]) -> Float[Tensor, "N"]:
-        """E R(s, A, S')."""
+        """Return E R(s, A, S')."""
         start = obs.repeat_interleave(draws, 0)
         return reward(start, action, next_obs).view(count, draws).mean(1)
 
@@ -59,16 +59,21 @@ def canonical(
 
 
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
-    """Return sqrt((1 - ρ) / 2): 0 for the same up to shift and scale, 1 for the opposite.
+    """Return sqrt((1 - ρ) / 2), where ρ is the correlation of x and y, from 0 to 1.
+
+    It is 0 if the two are equal up to shift and positive scale, 1 if one is the other's negative.
 
     Raises:
-        ValueError: one of them is constant, so that they have no correlation.
+        ValueError: x or y is constant, so that they have no correlation.
     """
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
     if not norms > 0:
-        raise ValueError("a reward that is the same for all transitions has no correlation")
-    # From ‖x̂ - ŷ‖² = 2 (1 - ρ), which, other than 1 - ρ itself, is exact near ρ = 1.
+        raise ValueError(
+            "a reward that is the same for all transitions has no correlation; compare rewards on "
+            "transitions where they vary"
+        )
+    # From ‖x̂ - ŷ‖² = 2 (1 - ρ): near ρ = 1 this loses no digits, as 1 - ρ itself would.
     return (x / x.norm() - y / y.norm()).norm() / 2
 
 
@@ -78,19 +83,22 @@ def distances(
     samples: Transitions,
     discount: float,
 ) -> Float[Tensor, "K K"]:
-    """Return the EPIC distance of each reward to each, from 0 to 1.
+    """Return the EPIC distance of each pair of rewards, from 0 to 1, (K, K).
 
     Args:
         rewards: K functions R(s, a, s').
-        transitions: the coverage distribution's, over which they are compared.
+        transitions: transitions of the coverage distribution, over which rewards are compared.
         samples: see `canonical`.
-        discount: γ of the shaping that makes no difference.
+        discount: γ of the shaping that the distance ignores.
 
     Raises:
-        ValueError: a reward is nothing but shaping on these transitions, up to rounding.
+        ValueError: on these transitions a reward is nothing but shaping, up to rounding.
     """
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
     for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):
         if not left.std() > 1e-5 * reward(*transitions).std():
-            raise ValueError(f"reward {i} is nothing but shaping: there is nothing to compare")
+            raise ValueError(
+                f"reward {i} is nothing but shaping on these transitions, so there is nothing to "
+                "compare; leave it out"
+            )
     return torch.stack([torch.stack([pearson_distance(x, y) for y in shaped]) for x in shaped])

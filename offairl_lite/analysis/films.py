@@ -1,6 +1,6 @@
-"""Short MP4 films of policies, drawn without any graphics library and embedded in the page."""
+"""Short MP4 films of policies, rendered without a graphics library and embedded in the page."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
 import imageio_ffmpeg
@@ -19,21 +19,24 @@ from offairl_lite.core.rollouts import require_fit, seen
 def frames(
     policy: Policy, env_id: str, seed: int = 0, max_steps: int = 200, every: int = 1
 ) -> UInt8[np.ndarray, "T H W 3"]:
-    """Return the frames of one episode of a one-member policy's mode.
+    """Return the frames of one episode in which a policy takes its mode, (T, height, width, 3).
 
     Args:
-        policy: one member; take it with `policy.member(i)`.
-        env_id: one of the package's tasks, or another that renders frames.
-        seed: of the episode.
-        max_steps: where to stop at the latest.
-        every: steps between frames.
+        policy: a policy of one member, from `policy.member(i)`.
+        env_id: a task that renders frames, as the package's own tasks do.
+        seed: seed of the episode.
+        max_steps: largest number of steps.
+        every: number of steps from one frame to the next.
 
     Raises:
-        ValueError: the policy has more than one member, it sees or gives other numbers than the
-            task has, or the task does not render frames.
+        ValueError: the policy has more than one member, the dimensions of its observations or
+            actions are not the task's, or the task does not render frames.
     """
     if len(policy) != 1:
-        raise ValueError(f"{len(policy)} members in one film; choose one: policy.member(0)")
+        raise ValueError(
+            f"the policy has {len(policy)} members, and a film shows one: choose it, for example "
+            "policy.member(0)"
+        )
     policy = policy.to("cpu")
     with _filming(env_id):
         env = envs.make(env_id, 1, seed, render_mode="rgb_array")
@@ -52,7 +55,7 @@ def frames(
 
 
 def _picture(env: VectorEnv, env_id: str) -> UInt8[np.ndarray, "H W 3"]:
-    """Return the present frame of an environment's only member."""
+    """Return the current frame of an environment's only member."""
     with _filming(env_id):
         picture = env.render()[0]
         if np.shape(picture)[2:] != (3,):
@@ -62,38 +65,35 @@ def _picture(env: VectorEnv, env_id: str) -> UInt8[np.ndarray, "H W 3"]:
 
 @contextmanager
 def _filming(env_id: str) -> Iterator[None]:
-    """Say of a task that does not render frames what it lacks."""
+    """Turn the errors of a task that does not render frames into one that says what it lacks."""
     try:
         yield
     except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
         why = error.__cause__ if isinstance(error, envs.TaskError) else error
-        # What Python, Gymnasium's checker and its base class raise, in this order.
+        # Raised by Python, by Gymnasium's checker and by its base class, in this order.
         if not isinstance(why, TypeError | AssertionError | NotImplementedError):
             raise
         raise ValueError(
-            f"{env_id} cannot be filmed: it needs render_mode='rgb_array', with which render() "
-            f"returns frames (height, width, 3); here: {why!r}"
+            f"{env_id} cannot be filmed: its render() must return frames (height, width, 3) with "
+            f"render_mode='rgb_array'; found: {why!r}"
         ) from error
 
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
-    """Encode frames as H.264, well under a kilobyte a frame."""
+    """Return frames encoded as an MP4 with H.264, well under a kilobyte per frame."""
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     return mediapy.compress_video(pictures, fps=fps, crf=28)
 
 
 def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) -> HTML:
-    """Return the film for a notebook: it carries its own bytes, so the page needs no other file."""
+    """Return a player for a notebook; it contains the film, so the page needs no other file."""
     height, width = pictures.shape[1:3]
     player = mediapy.html_from_compressed_video(mp4(pictures, fps), width, height)
     return HTML(f"<figure>{player}<figcaption>{caption}</figcaption></figure>")
 
 
 def side_by_side(*films: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T H W 3"]:
-    """Join films of equal height; a shorter one stands still at its end."""
+    """Join films of equal height; a shorter film stays at its last frame."""
     longest = max(map(len, films))
-    return np.concatenate([_held(film, longest) for film in films], axis=2)
-
-
-def _held(film: Sequence, length: int) -> np.ndarray:
-    return np.concatenate([film, np.repeat(film[-1:], length - len(film), axis=0)])
+    last = [np.repeat(film[-1:], longest - len(film), axis=0) for film in films]
+    return np.concatenate([np.concatenate(pair) for pair in zip(films, last, strict=True)], axis=2)

@@ -1,6 +1,6 @@
-"""The book's figures, in one style that is legible on light and dark pages and to the colour-blind.
+"""The book's figures, in one style for light and dark pages and for colour-blind readers.
 
-Colours are those of Okabe and Ito (2008).
+The colours are those of Okabe and Ito (2008).
 """
 
 import math
@@ -27,7 +27,7 @@ GREY = "#7f7f7f"
 STYLE = {
     "figure.figsize": (6.4, 3.4),
     "figure.dpi": 110,
-    # A white card reads the same on a light and on a dark page.
+    # A white background is legible on a light and on a dark page.
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     "axes.spines.top": False,
@@ -43,7 +43,7 @@ STYLE = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the book's style."""
+    """Use the book's style for the figures made in this context."""
     with plt.rc_context(STYLE):
         yield
 
@@ -56,7 +56,16 @@ def curve(
     color: str = BLUE,
     linestyle: str = "-",
 ) -> None:
-    """Draw a population's learning curve: interquartile mean, 95 % bootstrap band, every member."""
+    """Draw the learning curve of S seeds: each one, their interquartile mean and its 95 % interval.
+
+    Args:
+        ax: the axes.
+        steps: environment steps of the K evaluations.
+        returns: return of each seed at each evaluation.
+        label: name in the legend.
+        color: of all lines and of the band, the bootstrap interval of the mean.
+        linestyle: of the mean.
+    """
     low, high = bootstrap_interval(returns)
     ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
     ax.plot(steps, returns.T, color=color, alpha=0.35, linewidth=0.7)
@@ -65,7 +74,7 @@ def curve(
 
 
 def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str = "--") -> None:
-    """Draw a horizontal line to compare with, named at its right end."""
+    """Draw a horizontal reference line with a label at its right end."""
     ax.axhline(value, color=color, linestyle=linestyle, linewidth=1.2)
     ax.annotate(
         label,
@@ -80,16 +89,17 @@ def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str 
 
 
 class _Walls(LineCollection):
-    """Lines as wide as the walls. Their width is in points, so the axes must have their size."""
+    """Lines as wide as the walls."""
 
     def draw(self, renderer) -> None:
+        # The width is in points, so it can be computed only when the axes have their final size.
         ends = self.axes.transData.transform([(0, 0), (2 * WALL_RADIUS, 0)])
         self.set_linewidth(np.ptp(ends[:, 0]) * 72 / self.axes.figure.dpi)
         super().draw(renderer)
 
 
 def maze(ax: Axes, side: str | None) -> None:
-    """Draw the walls, the start and the goal of the maze of that side; None: without a barrier."""
+    """Draw the walls, start and goal of the maze with this side; with None, without a barrier."""
     ax.add_collection(_Walls(walls(side), colors="black", capstyle="round", zorder=2))
     ax.set(xlim=(-0.14, LENGTH + 0.04), ylim=(-0.14, LENGTH + 0.04), aspect="equal")
     ax.set(xticks=[0, 0.3, 0.6], yticks=[0, 0.3, 0.6], xlabel="x (m)", ylabel="y (m)")
@@ -101,12 +111,20 @@ def maze(ax: Axes, side: str | None) -> None:
 def reward_map(
     ax: Axes, reward: Reward, side: str, member: int = 0, resolution: int = 81
 ) -> AxesImage:
-    """Draw a learned r(s) over the maze, shifted so that its best place is 0."""
+    """Draw a learned reward r(s) over the maze, shifted so that its largest value is 0.
+
+    Args:
+        ax: the axes.
+        reward: a reward of the state alone.
+        side: the maze's side.
+        member: index of the seed whose reward is drawn.
+        resolution: number of pixels along x and along y.
+    """
     inner = np.linspace(-0.08, LENGTH - 0.02, resolution)
     x, y = np.meshgrid(inner, inner)
     obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
     value = reward.member(member).to("cpu")(obs.view(1, -1, 3)).view(x.shape).numpy()
-    half = (inner[1] - inner[0]) / 2  # a pixel lies around its place
+    half = (inner[1] - inner[0]) / 2  # a pixel is centred on its point
     extent = (inner[0] - half, inner[-1] + half) * 2
     image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)
     maze(ax, side)
@@ -114,7 +132,7 @@ def reward_map(
 
 
 def grid(ax: Axes, values: Float[np.ndarray, "S"], side: str) -> AxesImage:
-    """Draw a function of the squares of `tabular.maze`, in their order, over the maze."""
+    """Draw a function of the state of `tabular.mazes.maze`, one value per square, over the maze."""
     cells = math.isqrt(len(values))
     low, high = walls(side)[:4].min(), walls(side)[:4].max()
     extent = (low, high, low, high)
@@ -131,7 +149,10 @@ def arrows(
     positions: Float[np.ndarray, "S 2"],
     color: str = "white",
 ) -> Quiver:
-    """Draw the mean move of a policy of `tabular.maze` in each square; the undecided are short."""
+    """Draw the mean move of a policy in each square of `tabular.mazes.maze`, from its `positions`.
+
+    Where the policy is undecided, its moves cancel and the arrow is short.
+    """
     size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
     move = 0.9 * size * (policy @ MOVES)
     return ax.quiver(
@@ -151,12 +172,12 @@ def arrows(
 def trajectories(
     ax: Axes, obs: Float[np.ndarray, "N T O"], color: str = BLUE, label: str | None = None
 ) -> None:
-    """Draw paths over the maze."""
+    """Draw N paths of T observations over the maze, whose first two dimensions are x and y."""
     for i, path in enumerate(np.asarray(obs)):
         ax.plot(*path[:, :2].T, color=color, alpha=0.7, linewidth=1, label=None if i else label)
 
 
 def mark(ax: Axes, steps: int, total: int, seeds: Sequence[int], scale: str) -> None:
-    """Say on the figure itself at what scale it was made."""
+    """Write the scale, the number of seeds and the number of steps above a figure."""
     text = f"{scale} scale · {len(seeds)} seeds · {steps:,} of {total:,} steps"
     ax.set_title(text, loc="left", fontsize="small", color=GREY)

@@ -1,13 +1,13 @@
 """Environments: the paper's eight tasks, stepped in batches, and any other Gymnasium task.
 
-Importing this package registers its own tasks, so that `gymnasium.make` and `gymnasium.make_vec`
-know them:
+Importing this package registers its own tasks with Gymnasium, for `gymnasium.make` and
+`gymnasium.make_vec`:
 
 - `offairl/PointMazeLeft-v0`, `offairl/PointMazeRight-v0`: the shifting maze;
 - `offairl/CustomAnt-v0`, `offairl/DisabledAnt-v0`: the ant, and the ant with two weak legs;
-- `offairl/DisabledAntReleased-v0`: the latter with its actuators in the order of the released code;
-- `offairl/PointMarsh-v0`, `offairl/PointMarshWest-v0`: a marsh, costly to cross, in place of the
-  barrier, from two starts.
+- `offairl/DisabledAntReleased-v0`: DisabledAnt with its actuators in the released code's order;
+- `offairl/PointMarsh-v0`, `offairl/PointMarshWest-v0`: a marsh, costly to cross, instead of the
+  barrier, with two different starts.
 """
 
 import importlib
@@ -48,12 +48,8 @@ class SingleEnv(gymnasium.Env):
 
     def __init__(self, task: str, render_mode: str | None = None):
         # Gymnasium's TimeLimit, which `gymnasium.make` adds, is the only clock.
-        self._members = BatchedEnv(
-            task,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_mode=render_mode,
-            max_episode_steps=math.inf,
-        )
+        options = {"autoreset_mode": AutoresetMode.DISABLED, "max_episode_steps": math.inf}
+        self._members = BatchedEnv(task, render_mode=render_mode, **options)
         self.render_mode = render_mode
         self.action_space = self._members.single_action_space
         self.observation_space = self._members.single_observation_space
@@ -73,17 +69,17 @@ class SingleEnv(gymnasium.Env):
         return observations[0], float(rewards[0]), bool(terminated[0]), False, info
 
     def render(self) -> np.ndarray:
-        """The present frame, (height, width, 3) uint8."""
+        """Return the current frame, (height, width, 3) uint8."""
         return self._members.render()[0]
 
 
 def spec(env_id: str) -> EnvSpec:
-    """What is registered under an id; a module before it, `my_module:MyTask-v0`, is imported.
+    """Return the registered specification of a task; for `my_module:MyTask-v0`, import the module.
 
     Raises:
         ModuleNotFoundError: there is no such module.
-        ValueError: the id is not known; the message lists the package's own, and says how to add
-            one.
+        ValueError: the id is unknown; the message lists the package's own tasks and says how to
+            register another.
     """
     module, _, name = env_id.rpartition(":")
     if module:
@@ -91,24 +87,24 @@ def spec(env_id: str) -> EnvSpec:
             importlib.import_module(module)
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                f"{env_id}: {error}; expected a module that registers {name}: start where it is, "
-                "or put its folder into PYTHONPATH"
+                f"{env_id}: {error}; expected a module that registers {name}: start in its folder, "
+                "or add that folder to PYTHONPATH"
             ) from error
     try:
         return gymnasium.spec(name)
     except gymnasium.error.Error as error:
         raise ValueError(
-            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and whatever is "
+            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
             "registered with Gymnasium: register your own with "
             "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
-            "module that does so, --env-id my_module:MyTask-v0"
+            "module that registers it, --env-id my_module:MyTask-v0"
         ) from error
 
 
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> None:
     """Raise ValueError unless both spaces of a task are boxes with one axis.
 
-    That of the actions must be of floats, with finite bounds, low < high.
+    The action space must consist of floats with finite bounds, low < high.
     """
     for name, space in (("observation", observation_space), ("action", action_space)):
         if not isinstance(space, Box) or len(space.shape) != 1:
@@ -121,14 +117,14 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
         raise ValueError(
             f"{env_id}: the action space {action_space} is of integers, to which a policy's "
             "actions would be rounded; make it a float32 Box, and round in the task's own step "
-            "if it must be"
+            "if necessary"
         )
     if not action_space.is_bounded():
         raise ValueError(f"{env_id}: every action must have finite bounds, not {action_space}")
     if not (action_space.low < action_space.high).all():
         raise ValueError(
-            f"{env_id}: the bounds of every action must differ, low < high, and those of "
-            f"{action_space} do not; leave actions that cannot be chosen out of the space"
+            f"{env_id}: the bounds of every action must differ, low < high, but in {action_space} "
+            "they do not; leave actions that cannot be chosen out of the space"
         )
 
 
@@ -140,55 +136,44 @@ def make(
     num_threads: int = 1,
     render_mode: str | None = None,
 ) -> BatchedEnv | SerialEnv:
-    """A vector environment with one member per seed, to be reset by whoever steps it.
+    """Return a vector environment with one member per seed, without automatic resets.
 
     Members start when the first `reset()` is called. A finished member must be reset, with
-    `reset(options={"reset_mask": finished})`, before the next `step`. Actions run from -1 to 1 in
-    every dimension: for an environment with other bounds they are rescaled. `get_state()` gives
+    `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
+    every dimension, and are rescaled for an environment with other bounds. `get_state()` returns
     arrays from which `set_state(state)` continues exactly, here or in another environment made with
     the same id and population.
 
     Args:
         env_id: a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
-            whose members are then stepped one by one.
+            whose members are then stepped one after another.
         population: number of members.
         seed: s seeds the members with s, s + 1, ...; or a sequence of one seed per member.
-        num_threads: native threads for a task of `TASKS`; without effect on other environments.
+        num_threads: number of native threads for a task of `TASKS`; unused in other environments.
         render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
 
     Raises:
-        ModuleNotFoundError: the id names a module that is not there.
-        ValueError: the id is not known; its spaces are not what `require_boxes` expects;
-            `population` is below 1; or the number of seeds is not `population`.
+        ModuleNotFoundError: the id names a module that does not exist.
+        ValueError: the id is unknown; `require_boxes` refuses its spaces; `population` is below 1;
+            or the number of seeds is not `population`.
         TaskError: the task's own code has failed.
     """
     seeds = [seed + i for i in range(population)] if isinstance(seed, int) else list(seed)
     if population < 1 or len(seeds) != population:
         raise ValueError(f"expected one seed for each of {population} members, got {seeds}")
     if env_id in TASKS:
-        return BatchedEnv(
-            env_id,
-            population,
-            seeds=seeds,
-            num_threads=num_threads,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_mode=render_mode,
-        )
-    spec(env_id)  # Refuses an unknown one with more help than Gymnasium gives.
-    # An environment that cannot be rendered need not know the word.
-    rendering = {} if render_mode is None else {"render_mode": render_mode}
+        mode = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": render_mode}
+        return BatchedEnv(env_id, population, seeds=seeds, num_threads=num_threads, **mode)
+    spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
+    options = {"vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
+    if render_mode is not None:  # An environment without frames need not have this argument.
+        options["render_mode"] = render_mode
     with own_code(env_id, "making"):
-        env = gymnasium.make_vec(
-            env_id,
-            num_envs=population,
-            vectorization_mode="sync",
-            vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
-            **rendering,
-        )
-    require_boxes(env_id, env.single_observation_space, env.single_action_space)
+        env = gymnasium.make_vec(env_id, population, vectorization_mode="sync", **options)
     actions = env.single_action_space
+    require_boxes(env_id, env.single_observation_space, actions)
     ones = np.ones_like(actions.high)
-    if not (np.array_equal(actions.low, -ones) and np.array_equal(actions.high, ones)):
+    if (actions.low != -ones).any() or (actions.high != ones).any():
         env = BoundedAction(env, -ones, ones)
     return SerialEnv(env, seeds)
 

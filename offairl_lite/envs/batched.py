@@ -1,4 +1,4 @@
-"""Many members of one task, stepped together by MuJoCo on native threads."""
+"""All members of one task, stepped together by MuJoCo on native threads."""
 
 from collections.abc import Sequence
 from operator import index
@@ -14,6 +14,8 @@ from mujoco.batch import Batch
 from offairl_lite.envs.raycast import render
 from offairl_lite.envs.tasks import TASKS, Physics
 
+Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]
+"""Observations, rewards, terminated, truncated, each over the members, and a dictionary."""
 FRAME_SIZE = 240
 """Width and height of a rendered frame, in pixels."""
 
@@ -21,24 +23,24 @@ FRAME_SIZE = 240
 class BatchedEnv(gymnasium.vector.VectorEnv):
     """A vector environment whose members share a model and nothing else.
 
-    Every member has its own random generator, so its numbers do not depend on how many other
-    members there are, nor on the number of threads. Observations are float64, `(num_envs, O)`;
-    actions float32, `(num_envs, A)`. As in Gymnasium's MuJoCo tasks, an action beyond the bounds is
-    clamped by MuJoCo, and paid for in full. A member without an episode in progress (never reset,
-    or finished) is reset by `step` in mode `NEXT_STEP`, and an error in mode `DISABLED`.
+    Every member has its own random generator, so its episodes depend neither on how many other
+    members there are nor on the number of threads. Observations are float64, `(num_envs, O)`;
+    actions float32, `(num_envs, A)`. As in Gymnasium's MuJoCo tasks, MuJoCo clamps an action beyond
+    the bounds, and the reward is charged for it in full. A member that has not been reset, or whose
+    episode has ended, is reset by `step` in mode `NEXT_STEP`, and is an error in mode `DISABLED`.
 
     Args:
         task: a key of `TASKS`.
-        num_envs: number of members n.
-        seeds: a seed per member, as in `reset(seed=seeds)`; None takes them from the system.
-        num_threads: native threads that step the members. It does not change the numbers.
+        num_envs: number of members.
+        seeds: one seed per member, as in `reset(seed=seeds)`; None takes them from the system.
+        num_threads: number of native threads that step the members; results do not depend on it.
         autoreset_mode: `AutoresetMode.NEXT_STEP` or `AutoresetMode.DISABLED`.
         render_mode: None or `"rgb_array"`.
-        max_episode_steps: steps after which an episode is truncated; None for the task's own
-            limit, `math.inf` for none.
+        max_episode_steps: number of steps after which an episode is truncated; None for the task's
+            own limit, `math.inf` for no limit.
 
     Raises:
-        ValueError: an argument is none of those listed, or `seeds` is not one seed per member.
+        ValueError: an argument has another value, or `seeds` is not one seed per member.
     """
 
     # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.
@@ -63,16 +65,13 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             raise ValueError(f"autoreset_mode must be NEXT_STEP or DISABLED, not {autoreset_mode}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
-        self.task = TASKS[task]
-        self.num_envs = num_envs
-        self.render_mode = render_mode
-        self.max_episode_steps = (
-            self.task.max_episode_steps if max_episode_steps is None else max_episode_steps
-        )
+        self.task, self.num_envs, self.render_mode = TASKS[task], num_envs, render_mode
+        limit = self.task.max_episode_steps
+        self.max_episode_steps = limit if max_episode_steps is None else max_episode_steps
 
         model = self.task.model()
         # Contact forces are computed from a member's whole MjData, which only a persistent batch
-        # keeps; without them the state row is enough, and memory grows with threads alone.
+        # keeps. Without them the state row is enough, and memory grows only with the threads.
         self._batch = Batch(model, num_envs, num_threads, persistent=self.task.contact_forces)
         self._model = self._batch.model
         self._scratch = mujoco.MjData(model)
@@ -86,13 +85,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             "autoreset_mode": autoreset_mode,
         }
 
-        self._physics = Physics(
-            qpos=self._qpos.copy(),
-            qvel=self._qvel.copy(),
-            torso=np.zeros((num_envs, 2)),
-            contact=np.zeros((num_envs, model.nbody if self.task.contact_forces else 0, 6)),
-        )
-        self._observations = self.task.observe(self._physics)
+        bodies = model.nbody if self.task.contact_forces else 0
+        self._observe(np.zeros((num_envs, 2)), np.zeros((num_envs, bodies, 6)))
         self._clock = np.zeros(num_envs, np.int64)
         self._idle = np.ones(num_envs, bool)
         self.np_random = tuple(seeding.np_random()[0] for _ in range(num_envs))
@@ -100,7 +94,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
 
         low, high = model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
-        # MuJoCo starts a simulation over when a position or a velocity exceeds this value.
+        # MuJoCo resets a simulation when a position or a velocity exceeds this value.
         bound = mujoco.mjMAXVAL
         self.single_observation_space = gymnasium.spaces.Box(
             -bound, bound, self._observations.shape[1:], np.float64
@@ -114,35 +108,33 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         """Start new episodes.
 
         Args:
-            seed: None lets the generators run on, s seeds member i with s + i, a sequence gives a
-                seed or None to each member.
-            options: `{"reset_mask": mask}`, `(num_envs,)` bool, resets (and seeds) the marked
-                members only.
+            seed: with None the generators continue, a number s seeds member i with s + i, and a
+                sequence gives each member a seed or None.
+            options: `{"reset_mask": mask}`, `(num_envs,)` bool, resets and seeds only the marked
+                members.
 
         Returns:
             Observations of all members, (num_envs, O), and an empty dictionary.
 
         Raises:
-            ValueError: the mask is not a boolean array of that shape, or marks nobody; or the
-                seeds are not one per member.
+            ValueError: the mask is not a boolean array of that shape or marks no member, or the
+                number of seeds is not `num_envs`.
         """
         mask = reset_mask(options, self.num_envs)
         self._seed(member_seeds(seed, self.num_envs), mask)
         self._start(np.flatnonzero(mask))
         return self._observations.copy(), {}
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Advance every member by one step; in mode NEXT_STEP, reset those that have finished.
+    def step(self, actions: np.ndarray) -> Step:
+        """Advance every member by one step; in mode NEXT_STEP, reset the finished members instead.
 
         Args:
             actions: (num_envs, A), finite.
 
         Returns:
-            Observations (num_envs, O), rewards, terminated (the task's own end), truncated (the
-            time limit), each (num_envs,), and an empty dictionary. A member reset by this step has
-            reward 0 and neither flag.
+            Observations (num_envs, O); rewards, terminated (the task has ended the episode) and
+            truncated (the time limit has), each (num_envs,); and an empty dictionary. For a member
+            that is reset by this step, the reward is 0 and both flags are False.
 
         Raises:
             ValueError: `actions` has another shape, or a value that is not finite.
@@ -168,40 +160,26 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         return self._observations.copy(), rewards, terminated, truncated, {}
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything that the future depends on, as arrays that `set_state` takes back."""
-        return {
-            "physics": self._batch.state.copy(),
-            "torso": self._physics.torso.copy(),
-            "contact": self._physics.contact.copy(),
-            "clock": self._clock.copy(),
-            "idle": self._idle.copy(),
-            "generators": generator_words(self.np_random, self),
-        }
+        """Return everything that later steps depend on, as arrays for `set_state`."""
+        torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
+        state = {"physics": self._batch.state.copy(), "torso": torso, "contact": contact}
+        progress = {"clock": self._clock.copy(), "idle": self._idle.copy()}
+        return {**state, **progress, "generators": generator_words(self.np_random, self)}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a state of this task and number of members, exactly.
-
-        Args:
-            state: what `get_state` returned, here or in another `BatchedEnv`.
+        """Continue exactly from a state that `get_state` returned, here or in another `BatchedEnv`.
 
         Raises:
-            ValueError: names, shapes or types are not those of `get_state`.
+            ValueError: the state is of another task or number of members.
         """
         require_layout(state, self.get_state())
         self._batch.state[:] = state["physics"]
-        self._physics = Physics(
-            qpos=self._qpos.copy(),
-            qvel=self._qvel.copy(),
-            torso=state["torso"].copy(),
-            contact=state["contact"].copy(),
-        )
-        self._observations = self.task.observe(self._physics)
-        self._clock = state["clock"].copy()
-        self._idle = state["idle"].copy()
+        self._observe(state["torso"].copy(), state["contact"].copy())
+        self._clock, self._idle = state["clock"].copy(), state["idle"].copy()
         set_generator_words(self.np_random, state["generators"])
 
     def render(self) -> tuple[np.ndarray, ...]:
-        """Frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8.
+        """Return the frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8.
 
         Raises:
             RuntimeError: the environment was made without `render_mode="rgb_array"`.
@@ -238,7 +216,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         )
 
     def _start(self, members: np.ndarray) -> None:
-        """Begin new episodes of some members, drawing from their own generators."""
+        """Start new episodes of some members, with draws from their own generators."""
         self._batch.reset(members, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for member in members:
             position, velocity = self.task.noise(self.np_random[member], self._model)
@@ -250,7 +228,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._idle[members] = False
 
     def _contact_forces(self, members: np.ndarray) -> np.ndarray:
-        """External forces on the bodies of some members, clipped, (members, nbody or 0, 6)."""
+        """Return the clipped external forces on the bodies of some members, (M, nbody or 0, 6)."""
         forces = np.zeros((len(members), *self._physics.contact.shape[1:]))
         if not self.task.contact_forces:
             return forces
@@ -261,25 +239,23 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         return np.clip(forces, -1, 1)
 
     def _measure(self, moved: np.ndarray, contact: np.ndarray | float) -> None:
-        """Take new physics and observations after some members have moved.
+        """Update physics and observations after some members have moved.
 
-        Torso and contact are by-products of a step and not part of MuJoCo's state: those of the
-        other members are kept.
+        Torso and contact are by-products of a step and not part of MuJoCo's state: for the other
+        members they stay as they were.
         """
-        physics = Physics(
-            qpos=self._qpos.copy(),
-            qvel=self._qvel.copy(),
-            torso=self._physics.torso.copy(),
-            contact=self._physics.contact.copy(),
-        )
-        physics.torso[moved] = self._xpos[moved, 1, :2]
-        physics.contact[moved] = contact
-        self._physics = physics
-        self._observations = self.task.observe(physics)
+        torso, contacts = self._physics.torso.copy(), self._physics.contact.copy()
+        torso[moved] = self._xpos[moved, 1, :2]
+        contacts[moved] = contact
+        self._observe(torso, contacts)
+
+    def _observe(self, torso: np.ndarray, contact: np.ndarray) -> None:
+        self._physics = Physics(self._qpos.copy(), self._qvel.copy(), torso, contact)
+        self._observations = self.task.observe(self._physics)
 
 
 def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
-    """A seed or None for each member: s + i from s, a sequence as it is, None from None."""
+    """Return a seed or None for each member: s + i for a number s, or the sequence itself."""
     if seed is None:
         return [None] * num_envs
     seeds = [seed + i for i in range(num_envs)] if isinstance(seed, int | np.integer) else seed
@@ -289,7 +265,7 @@ def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list
 
 
 def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:
-    """The members that `reset` is asked to reset: all, unless the options have a `reset_mask`."""
+    """Return which members to reset, (num_envs,) bool: all unless `options` has a `reset_mask`."""
     if options is None or "reset_mask" not in options:
         return np.ones(num_envs, bool)
     mask = options["reset_mask"]
@@ -303,7 +279,7 @@ def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:
 
 
 def require_episodes(idle: np.ndarray) -> None:
-    """RuntimeError if any member is idle."""
+    """Raise RuntimeError if a member has no episode in progress."""
     if idle.any():
         raise RuntimeError(
             f"members {np.flatnonzero(idle).tolist()} have no episode in progress: reset them "
@@ -312,7 +288,7 @@ def require_episodes(idle: np.ndarray) -> None:
 
 
 def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) -> None:
-    """ValueError unless two states have the same names, shapes and types."""
+    """Raise ValueError unless two states have the same names, shapes and types."""
     expected = {name: (array.shape, array.dtype) for name, array in like.items()}
     given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in state.items()}
     if given != expected:
@@ -320,7 +296,10 @@ def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) ->
 
 
 def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndarray:
-    """States of PCG64 generators: two numbers of 128 bits, high word first, and a spare draw."""
+    """Return the states of PCG64 generators, (n, 6) uint64.
+
+    A row holds two numbers of 128 bits, each as its high and its low word, and a spare draw.
+    """
     rows = []
     for rng in generators:
         if not isinstance(getattr(rng, "bit_generator", None), np.random.PCG64):
@@ -329,20 +308,15 @@ def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndar
                 f"PCG64, as Gymnasium makes it, got {rng!r}"
             )
         state = rng.bit_generator.state
-        words = []
-        for number in (state["state"]["state"], state["state"]["inc"]):
-            words += [number >> 64, number & (2**64 - 1)]
-        rows.append([*words, state["has_uint32"], state["uinteger"]])
+        numbers = divmod(state["state"]["state"], 2**64), divmod(state["state"]["inc"], 2**64)
+        rows.append([*numbers[0], *numbers[1], state["has_uint32"], state["uinteger"]])
     return np.array(rows, np.uint64)
 
 
 def set_generator_words(generators: Sequence[np.random.Generator], rows: np.ndarray) -> None:
-    """Put generators into states that `generator_words` gave."""
+    """Set generators to states that `generator_words` returned."""
     for rng, words in zip(generators, rows, strict=True):
-        state_high, state_low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
-        rng.bit_generator.state = {
-            "bit_generator": "PCG64",
-            "state": {"state": state_high << 64 | state_low, "inc": inc_high << 64 | inc_low},
-            "has_uint32": has_uint32,
-            "uinteger": uinteger,
-        }
+        high, low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
+        state = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
+        spare = {"has_uint32": has_uint32, "uinteger": uinteger}
+        rng.bit_generator.state = {"bit_generator": "PCG64", "state": state, **spare}

@@ -1,7 +1,7 @@
-"""MuJoCo models of the shifting maze, of the marsh, and of the ants with four and two good legs.
+"""MuJoCo models of the shifting maze, the marsh, and the ants with four and with two good legs.
 
-The marsh is this package's own. The numbers of the others are those of Fu, Luo and Levine,
-"Learning Robust Rewards with Adversarial Inverse Reinforcement Learning" (2018), as used by Arnob,
+The marsh is this package's own. The maze and the ants are those of Fu, Luo and Levine, "Learning
+Robust Rewards with Adversarial Inverse Reinforcement Learning" (2018), as used by Arnob,
 "Off-Policy Adversarial Inverse Reinforcement Learning" (2020). Lengths are in metres, angles in
 degrees, time in seconds.
 """
@@ -10,6 +10,7 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+from mujoco import mjtGeom, mjtIntegrator, mjtJoint, mjtLimited, mjtTrn
 
 Side = Literal["Left", "Right"]
 
@@ -22,9 +23,10 @@ GOAL = np.array([LENGTH / 2, LENGTH - 0.1])
 MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])
 """Lower and upper corner of the marsh, (2, 2)."""
 WEST = np.array([0.05, 0.0])
-"""Another start on the marsh, from which the straight way to the goal crosses it too, (2,)."""
+"""Another start, from which the straight way to the goal crosses the marsh as well, (2,)."""
 PARTICLE_RADIUS = 0.03
 WALL_RADIUS = 0.02
+"""Half the thickness of a wall."""
 
 _PARTICLE = (0.13, 0.35, 0.85, 1.0)
 _TARGET = (0.10, 0.75, 0.25, 1.0)
@@ -36,6 +38,7 @@ _ANT = (0.85, 0.62, 0.38, 1.0)
 _WEAK_LEG = (0.75, 0.25, 0.22, 1.0)
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _BLACK = (0.05, 0.05, 0.05, 1.0)
+_UNTOUCHED = {"contype": 0, "conaffinity": 0}
 
 # Diagonal direction of each leg, and the axis and range of its ankle: the feet point down.
 _LEGS = {
@@ -48,14 +51,14 @@ _BACK_LEGS = (3, 4)
 
 
 def walls(side: Side | None) -> np.ndarray:
-    """Centre lines of the maze's walls: four borders, then the barrier.
+    """Return the centre lines of the maze's walls: four borders, then the barrier.
 
     Args:
         side: the side on which the barrier is attached. `"Left"` leaves its gap on the right,
-            `"Right"` on the left. None: there is no barrier.
+            `"Right"` on the left. With None there is no barrier.
 
     Returns:
-        Segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y). Every wall is `WALL_RADIUS` thick.
+        Segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y).
 
     Raises:
         ValueError: `side` is neither `"Left"` nor `"Right"` nor None.
@@ -63,12 +66,8 @@ def walls(side: Side | None) -> np.ndarray:
     if side not in ("Left", "Right", None):
         raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
     low, high, middle = -0.1, LENGTH, LENGTH / 2
-    lines = [
-        [(low, low), (high, low)],
-        [(high, low), (high, high)],
-        [(high, high), (low, high)],
-        [(low, high), (low, low)],
-    ]
+    corners = [(low, low), (high, low), (high, high), (low, high)]
+    lines = [[corners[i - 1], corners[i]] for i in (1, 2, 3, 0)]
     if side is not None:
         barrier = (low, 2 * LENGTH / 3) if side == "Left" else (LENGTH / 3, high)
         lines.append([(barrier[0], middle), (barrier[1], middle)])
@@ -76,7 +75,7 @@ def walls(side: Side | None) -> np.ndarray:
 
 
 def point_maze(side: Side) -> mujoco.MjModel:
-    """The shifting maze: a particle pushed in the plane, a barrier between it and its target.
+    """Return the shifting maze: a particle, pushed in the plane, and a barrier before its target.
 
     `qpos` is the particle's displacement from `START`, `ctrl` the force along x and y in newtons,
     each limited to [-1, 1].
@@ -93,23 +92,14 @@ def point_maze(side: Side) -> mujoco.MjModel:
 
 
 def point_marsh(start: np.ndarray) -> mujoco.MjModel:
-    """The maze's particle and target, and a marsh in place of the barrier: it stops nobody.
+    """Return the maze's particle and target with a marsh, which stops nothing, for a barrier.
 
-    `qpos` is the particle's displacement from its start.
-
-    Args:
-        start: where the particle starts, (2,).
+    `qpos` is the particle's displacement from `start`, (2,).
     """
     spec = _particle_in_box("PointMarsh", walls(None), start)
     low, high = MARSH
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=(*(low + high) / 2, -PARTICLE_RADIUS),
-        size=(*(high - low) / 2, 0.001),
-        contype=0,
-        conaffinity=0,
-        rgba=_MARSH,
-    )
+    place = {"pos": (*(low + high) / 2, -PARTICLE_RADIUS), "size": (*(high - low) / 2, 0.001)}
+    spec.worldbody.add_geom(type=mjtGeom.mjGEOM_BOX, rgba=_MARSH, **place, **_UNTOUCHED)
     return spec.compile()
 
 
@@ -118,58 +108,38 @@ def _particle_in_box(name: str, lines: np.ndarray, start: np.ndarray) -> mujoco.
     spec.modelname = name
     spec.option.timestep = 0.01
     spec.option.gravity = (0, 0, 0)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.integrator = mjtIntegrator.mjINT_EULER
     geom = spec.default.geom
     geom.friction, geom.margin, geom.condim = (0.5, 0.1, 0.1), 0.002, 1
     geom.contype, geom.conaffinity = 2, 1
     spec.default.joint.damping[0] = 1
 
     particle = spec.worldbody.add_body(name="particle", pos=(*start, 0))
-    particle.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=(PARTICLE_RADIUS, 0, 0),
-        contype=1,
-        density=1000,
-        rgba=_PARTICLE,
-    )
+    solid = {"contype": 1, "density": 1000, "rgba": _PARTICLE}
+    particle.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(PARTICLE_RADIUS, 0, 0), **solid)
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
-        particle.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        particle.add_joint(name=name, type=mjtJoint.mjJNT_SLIDE, axis=axis)
         _add_motor(spec, name, gear=1)
 
     target = spec.worldbody.add_body(name="target", pos=(*GOAL, 0))
-    target.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=(0.02, 0, 0),
-        contype=0,
-        conaffinity=0,
-        rgba=_TARGET,
-    )
+    target.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), rgba=_TARGET, **_UNTOUCHED)
     for index, (end, other) in enumerate(lines):
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=(*end, 0.01, *other, 0.01),
-            size=(WALL_RADIUS, 0, 0),
-            rgba=_BARRIER if index == 4 else _BORDER,
-        )
-    # The ground is for the eye only: gravity is off and nothing touches it. It is a body of its own
+        colour = _BARRIER if index == 4 else _BORDER
+        _add_capsule(spec.worldbody, (*end, 0.01), (*other, 0.01), WALL_RADIUS, colour)
+    # The ground is only drawn: gravity is off and nothing touches it. It is a body of its own
     # because MuJoCo's rays miss a plane beyond the bounds of the body's other shapes.
     ground = spec.worldbody.add_body(name="ground", pos=(0, 0, -PARTICLE_RADIUS))
-    ground.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(40, 40, 0.1),
-        contype=0,
-        conaffinity=0,
-        rgba=_GROUND,
-    )
+    ground.add_geom(type=mjtGeom.mjGEOM_PLANE, size=(40, 40, 0.1), rgba=_GROUND, **_UNTOUCHED)
     return spec
 
 
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
-    """The ant with motors of gear 30; disabled, its two back legs are short and powerless.
+    """Return the ant with motors of gear 30; if disabled, its back legs are short and weak.
 
     Args:
-        disabled: halve thigh and shin of legs 3 and 4, and give their motors gear 1.
-        actuator_legs: the legs 1 to 4 in the order in which an action drives them, hip then ankle.
+        disabled: halve the thigh and shin of legs 3 and 4, and give their motors gear 1.
+        actuator_legs: the legs 1 to 4 in the order in which an action drives them, hip before
+            ankle.
 
     Raises:
         ValueError: `actuator_legs` is not an ordering of the legs 1 to 4.
@@ -179,24 +149,18 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.modelname = "DisabledAnt" if disabled else "CustomAnt"
     spec.option.timestep = 0.01
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.integrator = mjtIntegrator.mjINT_RK4
     joint, geom = spec.default.joint, spec.default.geom
     joint.armature, joint.damping[0] = 1, 1
     geom.friction, geom.density, geom.margin = (1.5, 0.5, 0.5), 5, 0.01
     geom.condim, geom.conaffinity = 3, 0
 
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(40, 40, 40),
-        conaffinity=1,
-        rgba=_GROUND,
-    )
+    floor = {"name": "floor", "size": (40, 40, 40), "conaffinity": 1, "rgba": _GROUND}
+    spec.worldbody.add_geom(type=mjtGeom.mjGEOM_PLANE, **floor)
     torso = spec.worldbody.add_body(name="torso", pos=(0, 0, 0.75))
-    torso.add_joint(
-        name="root", type=mujoco.mjtJoint.mjJNT_FREE, armature=0, damping=(0, 0, 0), margin=0.01
-    )
-    torso.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.25, 0, 0), rgba=_ANT)
+    free = {"armature": 0, "damping": (0, 0, 0), "margin": 0.01}
+    torso.add_joint(name="root", type=mjtJoint.mjJNT_FREE, **free)
+    torso.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(0.25, 0, 0), rgba=_ANT)
     _add_eyes(torso)
 
     for leg, (direction, ankle_axis, ankle_range) in _LEGS.items():
@@ -234,27 +198,16 @@ def _add_eyes(torso) -> None:
 
 
 def _add_capsule(body, start, end, radius, rgba) -> None:
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(*start, *end), size=(radius, 0, 0), rgba=rgba
-    )
+    shape = {"type": mjtGeom.mjGEOM_CAPSULE, "size": (radius, 0, 0)}
+    body.add_geom(fromto=(*start, *end), rgba=rgba, **shape)
 
 
 def _add_hinge(body, name, axis, limits) -> None:
-    body.add_joint(
-        name=name,
-        type=mujoco.mjtJoint.mjJNT_HINGE,
-        axis=axis,
-        range=limits,
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-    )
+    limited = {"range": limits, "limited": mjtLimited.mjLIMITED_TRUE}
+    body.add_joint(name=name, type=mjtJoint.mjJNT_HINGE, axis=axis, **limited)
 
 
 def _add_motor(spec, joint, gear) -> None:
-    spec.add_actuator(
-        name=joint,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gear=(gear, 0, 0, 0, 0, 0),
-        ctrlrange=(-1, 1),
-        ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-    )
+    limited = {"ctrlrange": (-1, 1), "ctrllimited": mjtLimited.mjLIMITED_TRUE}
+    target = {"target": joint, "trntype": mjtTrn.mjTRN_JOINT}
+    spec.add_actuator(name=joint, gear=(gear, 0, 0, 0, 0, 0), **target, **limited)

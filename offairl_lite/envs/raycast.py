@@ -1,6 +1,6 @@
-"""Frames of a MuJoCo simulation drawn by casting rays on the CPU: no graphics library is needed.
+"""Frames of a MuJoCo simulation, drawn by casting rays on the CPU without a graphics library.
 
-A frame is a pure function of model, state and camera: the same bytes on every call.
+A frame is a pure function of model, state and camera: every call returns the same bytes.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-# Each pixel is the mean of 2x2 samples, and each of the four sees its own lamp: the average of four
-# hard shadows is a soft one at the price of one. The lamps' directions are seen from the scene.
+# Each pixel is the mean of 2x2 samples, and each of the four has a lamp of its own: the average of
+# four hard shadows is a soft shadow at the cost of one. Lamps are given as directions in the scene.
 _SAMPLES = 2
 _LAMPS = np.array([[-0.55, -0.5, 1], [-0.43, -0.5, 1], [-0.49, -0.56, 1], [-0.49, -0.44, 1]])
 _LAMPS /= np.linalg.norm(_LAMPS, axis=1, keepdims=True)
@@ -24,16 +24,18 @@ _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a frame is seen from.
+    """The camera of a frame.
 
     Attributes:
         lookat: the point (x, y, z) in the middle of the frame, in metres.
-        distance: from the eye to `lookat`, in metres.
+        distance: distance from the eye to `lookat`, in metres.
         azimuth: direction of view in the ground plane, in degrees; 90 looks along +y.
-        elevation: its angle above the ground plane, in degrees; negative looks down.
-        body: `lookat` moves along x and y with the body of this number; 0, the world, stays put.
-        tiles: draw planes as a checker board, in which motion shows, and not in their own colour.
-        field_of_view: vertical, in degrees.
+        elevation: angle of view above the ground plane, in degrees; negative looks down.
+        body: index of the body with which `lookat` moves along x and y; 0, the world, does not
+            move.
+        tiles: whether planes are drawn as a checker board, which shows motion, instead of in their
+            own colour.
+        field_of_view: vertical field of view, in degrees.
     """
 
     lookat: tuple[float, float, float]
@@ -48,17 +50,14 @@ class Camera:
 def render(
     model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, camera: Camera
 ) -> np.ndarray:
-    """Draw one frame.
+    """Return one frame, `(height, width, 3)` uint8.
 
     Args:
         model: the model.
-        data: a state of `model` whose kinematics are current (`mujoco.mj_kinematics`).
-        width: of the frame, in pixels.
-        height: of the frame, in pixels.
-        camera: where the scene is seen from.
-
-    Returns:
-        The frame, `(height, width, 3)` uint8.
+        data: a state of `model` whose kinematics are current, see `mujoco.mj_kinematics`.
+        width: width of the frame, in pixels.
+        height: height of the frame, in pixels.
+        camera: the camera.
     """
     centre = np.array(camera.lookat)
     centre[:2] += data.xpos[camera.body, :2]
@@ -73,7 +72,7 @@ def render(
 
 
 def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
-    """Colours, (rays, 3) from 0 to 1, that an eye sees along some directions by a lamp's light."""
+    """Return the colours, (rays, 3) from 0 to 1, that rays from an eye meet in a lamp's light."""
     geom, distance, normal = _cast(model, data, eye, directions)
     point = eye + distance[:, None] * directions
 
@@ -82,10 +81,10 @@ def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
     length = np.sqrt(np.einsum("ij,ij->i", from_lamp, from_lamp))
     from_lamp /= length[:, None]
     _, obstacle, _ = _cast(model, data, lamp, from_lamp)
-    # The tolerance: a point must not be hidden from the lamp by itself.
+    # The tolerance keeps a point from casting a shadow on itself.
     lit = (obstacle < 0) | (obstacle > length - 1e-4)
     direct = lit * np.maximum(0, -np.einsum("ij,ij->i", normal, from_lamp))
-    # Skylight: surfaces that face up see the sky, those that face down the darker ground.
+    # Skylight: surfaces that face up see the sky, surfaces that face down the darker ground.
     light = 0.31 + 0.12 * normal[:, 2] + 0.65 * direct
 
     # The tiles are the palette's last two colours. Haze hides where they become finer than pixels.
@@ -102,7 +101,7 @@ def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
 
 
 def _cast(model, data, origin, directions):
-    """Geom (-1: none), distance (-1) and outward normal where rays from one origin end."""
+    """Return geom, distance and outward normal where rays from one origin end; -1 for no geom."""
     count = len(directions)
     geom, distance = np.empty(count, np.int32), np.empty(count)
     normal = np.empty(3 * count)
@@ -113,7 +112,7 @@ def _cast(model, data, origin, directions):
 
 
 def _axes(camera: Camera) -> np.ndarray:
-    """Unit vectors forward, right and up of the camera, (3, 3)."""
+    """Return the camera's unit vectors forward, right and up, (3, 3)."""
     azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
     horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = np.cos(elevation) * horizontal + np.array([0.0, 0.0, np.sin(elevation)])
@@ -123,7 +122,7 @@ def _axes(camera: Camera) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _rays(width: int, height: int, camera: Camera) -> np.ndarray:
-    """Unit vectors from the eye through every pixel's samples, (4, pixels, 3)."""
+    """Return unit vectors from the eye through the samples of every pixel, (4, pixels, 3)."""
     forward, right, up = _axes(camera)
     half = np.tan(np.deg2rad(camera.field_of_view) / 2)
     rows, columns = _SAMPLES * height, _SAMPLES * width
@@ -136,7 +135,7 @@ def _rays(width: int, height: int, camera: Camera) -> np.ndarray:
 
 
 def _surface_colours(model) -> np.ndarray:
-    """Colour of each geom, (geoms, 3); a geom without one of its own has its material's."""
+    """Return the colour of each geom, or of its material if it has none itself, (geoms, 3)."""
     rgba = model.geom_rgba.copy()
     unpainted = (model.geom_matid >= 0) & (rgba == _DEFAULT_RGBA).all(axis=1)
     rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]

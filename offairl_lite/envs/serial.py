@@ -1,4 +1,4 @@
-"""Members of any Gymnasium task, stepped one by one."""
+"""Members of any Gymnasium task, stepped one after another."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -11,6 +11,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.wrappers.vector import RescaleAction
 
 from offairl_lite.envs.batched import (
+    Step,
     generator_words,
     member_seeds,
     require_episodes,
@@ -21,14 +22,14 @@ from offairl_lite.envs.batched import (
 
 
 class TaskError(RuntimeError):
-    """A task's own code has failed; the cause says where."""
+    """A task's own code has failed; the exception's cause shows where."""
 
 
 @contextmanager
 def own_code(task: str, what: str) -> Iterator[None]:
-    """Tell what a task's own code raises from what this package refuses.
+    """Turn an exception of a task's own code into a TaskError.
 
-    Gymnasium's errors, and what is missing to import, say themselves what to do.
+    Gymnasium's errors and failed imports pass unchanged: their messages say what to do.
     """
     try:
         yield
@@ -43,21 +44,21 @@ class BoundedAction(RescaleAction):
     """Gymnasium's `RescaleAction`, whose rounding never leaves the bounds of the task."""
 
     def actions(self, actions: np.ndarray) -> np.ndarray:
-        """Return what the members are given."""
+        """Return the actions in the units of the task."""
         space = self.env.action_space
         return np.clip(super().actions(actions), space.low, space.high)
 
 
 class SerialEnv(VectorWrapper):
-    """Gymnasium's `SyncVectorEnv` with what `BatchedEnv` offers: seeds, and a state to save.
+    """Gymnasium's `SyncVectorEnv` with the seeds and the saved state of a `BatchedEnv`.
 
-    What is inside a member is unknown. Its state is therefore how its episode began, which is the
-    state of its random generator before the reset, and the actions since; it is restored by playing
-    the episode again. Actions are converted to the type of the action space.
+    The variables inside a member are unknown. Its state is therefore the state of its random
+    generator before the reset, and the actions since then; it is restored by playing the episode
+    again. Actions are converted to the type of the action space.
 
     Args:
         env: a new `SyncVectorEnv` in mode `DISABLED`, or a `BoundedAction` around one.
-        seeds: a seed per member, for its first reset.
+        seeds: one seed per member, for its first reset.
     """
 
     def __init__(self, env: VectorEnv, seeds: Sequence[int]):
@@ -74,7 +75,7 @@ class SerialEnv(VectorWrapper):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
-        """Start new episodes; arguments are those of `BatchedEnv.reset`, errors also TaskError."""
+        """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
         mask = reset_mask(options, self.num_envs)
         seeds = member_seeds(seed, self.num_envs)
         seeds = [b if a is None else a for a, b in zip(seeds, self._seeds, strict=True)]
@@ -84,7 +85,7 @@ class SerialEnv(VectorWrapper):
             else seeding.np_random(seeds[i])[0]
             for i in np.flatnonzero(mask)
         }
-        # Gymnasium takes the mask out of the options it is given.
+        # Gymnasium removes the mask from the options, so it gets a copy.
         with self._own("reset"):
             observations, info = self.env.reset(seed=seeds, options=options and dict(options))
         observations[~mask] = self._observations[~mask]
@@ -95,14 +96,12 @@ class SerialEnv(VectorWrapper):
             self._seeds[i], self._starts[i] = None, start
         return observations, info
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step.
 
         Raises:
             RuntimeError: a member has no episode in progress.
-            TaskError: the task itself has failed.
+            TaskError: the task's own code has failed.
         """
         require_episodes(self._idle)
         actions = np.array(actions, self.action_space.dtype)
@@ -117,9 +116,9 @@ class SerialEnv(VectorWrapper):
         return own_code(str(self.unwrapped), what)
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything that the future depends on, as arrays that `set_state` takes back.
+        """Return everything that later steps depend on, as arrays for `set_state`.
 
-        A member's own among the `actions` are the last, as many as its `clock` says.
+        The episode of a member has the last `clock` rows of `actions`.
 
         Raises:
             ValueError: a member's `np_random` is not a PCG64 generator.
@@ -140,14 +139,11 @@ class SerialEnv(VectorWrapper):
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a state of this task and number of members, exactly.
-
-        Args:
-            state: what `get_state` returned, here or in another environment of this task.
+        """Continue exactly from a state that `get_state` returned, here or in another environment.
 
         Raises:
-            ValueError: names, shapes or types are not those of `get_state`; or the episodes, played
-                again, come out differently, after which the environment must be reset.
+            ValueError: the state is of another task or number of members; or the episodes come out
+                differently when they are played again, and the environment must then be reset.
         """
         like = self.get_state()
         steps = np.shape(state.get("actions"))[:1]
@@ -157,7 +153,7 @@ class SerialEnv(VectorWrapper):
         generators = [member.unwrapped.np_random for member in self._members]
         set_generator_words(generators, state["starts"])
         self._seeds, self._starts = [None] * self.num_envs, deepcopy(generators)
-        # Everyone, for `SyncVectorEnv` cannot reset a few before it has reset all.
+        # All members, since `SyncVectorEnv` cannot reset a few before it has reset all.
         with self._own("reset"):
             first, _ = self.env.reset()
         new = state["idle"] & (state["clock"] == 0)
@@ -174,15 +170,15 @@ class SerialEnv(VectorWrapper):
         if wrong:
             raise ValueError(
                 f"{self.unwrapped}: {', '.join(wrong)} came out differently when the episodes were "
-                "played again; expected a task whose episodes depend on nothing but np_random, as "
-                "it was before the reset, and the actions"
+                "played again; expected a task whose episodes depend only on the actions and on "
+                "np_random as it was before the reset"
             )
 
     def _play(self) -> None:
         """Play the episodes again, from their starts."""
         for left, actions in zip(range(len(self._actions), 0, -1), self._actions, strict=True):
             played = self._rescaled(actions)
-            # Episodes have different lengths, so past the `SyncVectorEnv`, which steps all.
+            # Episodes have different lengths, and `SyncVectorEnv` would step all members.
             for i in np.flatnonzero(self._clock >= left):
                 observation, _, terminated, truncated, _ = self._members[i].step(played[i])
                 self._observations[i], self._idle[i] = observation, terminated or truncated

@@ -1,8 +1,8 @@
-"""The tasks: one definition each, over a leading axis of n simulations.
+"""The tasks, each defined once, for n simulations along a leading axis.
 
-The four AIRL tasks follow Arnob (2020), four others the `v5` environments of Gymnasium with their
-default arguments; the marsh, from two starts, is this package's own. The order of operations, and
-of the random draws at a reset, is Gymnasium's to the last bit.
+The mazes and the ants with strong and with weak legs follow Arnob (2020). Half cheetah, hopper,
+walker and ant equal the `v5` environments of Gymnasium with their default arguments to the last
+bit: operations, and random draws at a reset, have the same order. The marsh is this package's own.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from offairl_lite.envs.raycast import Camera
 
 
 class Physics(NamedTuple):
-    """What observations and rewards are made of, for n simulations.
+    """The state from which observations and rewards are computed, for n simulations.
 
     Attributes:
         qpos: generalised positions, (n, nq).
@@ -38,30 +38,35 @@ class Physics(NamedTuple):
 Noise = Callable[[np.random.Generator, mujoco.MjModel], tuple[np.ndarray, np.ndarray]]
 
 
+def _never(physics: Physics) -> np.ndarray:
+    return np.zeros(len(physics.qpos), bool)
+
+
 @dataclass(frozen=True)
 class Task:
     """A task.
 
     Attributes:
         model: builds the model.
-        frame_skip: physics steps in one environment step.
-        max_episode_steps: environment steps after which an episode is cut off.
-        camera: where its frames are seen from.
-        noise: draws what a reset adds to the model's `qpos0`, (nq,), and to zero velocity, (nv,).
+        camera: the camera of its frames.
+        noise: draws the noise that a reset adds to the model's `qpos0`, (nq,), and to zero
+            velocity, (nv,).
         observe: physics -> observations, (n, O) float64.
         reward: physics before, actions (n, A), physics after, seconds in between -> (n,) float64.
-        terminated: physics -> whether the episode has reached its end, (n,) bool.
+        terminated: physics -> whether the task itself has ended the episode, (n,) bool.
+        frame_skip: number of physics steps in one environment step.
+        max_episode_steps: number of environment steps after which an episode is truncated.
         contact_forces: whether `Physics.contact` is computed.
     """
 
     model: Callable[[], mujoco.MjModel]
-    frame_skip: int
-    max_episode_steps: int
     camera: Camera
     noise: Noise
     observe: Callable[[Physics], np.ndarray]
     reward: Callable[[Physics, np.ndarray, Physics, float], np.ndarray]
-    terminated: Callable[[Physics], np.ndarray]
+    terminated: Callable[[Physics], np.ndarray] = _never
+    frame_skip: int = 5
+    max_episode_steps: int = 1000
     contact_forces: bool = False
 
 
@@ -96,70 +101,20 @@ def _forward(before: Physics, after: Physics, seconds: float) -> np.ndarray:
     return (after.qpos[:, 0] - before.qpos[:, 0]) / seconds
 
 
-def _never(physics: Physics) -> np.ndarray:
-    return np.zeros(len(physics.qpos), bool)
-
-
-def _position(start: np.ndarray) -> Callable[[Physics], np.ndarray]:
-    def observe(physics):
-        height = np.zeros((len(physics.qpos), 1))
-        return np.concatenate([start + physics.qpos, height], axis=1)
-
-    return observe
-
-
-def _maze_reward(before, actions, after, seconds):
-    distance = np.linalg.norm(models.START + before.qpos - models.GOAL, axis=1)
-    return -distance - 0.001 * _effort(actions)
-
-
 MARSH_COST = 2.0
-"""What a step that begins in the marsh costs, beside the distance."""
+"""Cost of a step that begins in the marsh, in addition to the distance from the goal."""
 
 
 def in_marsh(position: np.ndarray) -> np.ndarray:
-    """Whether positions `(..., 2 or more)`, in metres, are in the marsh, `(...)` bool."""
+    """Return whether positions `(..., 2 or more)`, in metres, are in the marsh, `(...)` bool."""
     low, high = models.MARSH
     position = position[..., :2]
     return ((position > low) & (position < high)).all(-1)
 
 
-def _marsh_reward(start: np.ndarray):
-    def reward(before, actions, after, seconds):
-        position = start + before.qpos
-        distance = np.linalg.norm(position - models.GOAL, axis=1)
-        return -distance - 0.001 * _effort(actions) - MARSH_COST * in_marsh(position)
-
-    return reward
-
-
-def _custom_ant_observation(physics: Physics) -> np.ndarray:
-    contact = physics.contact.reshape(len(physics.contact), -1)
-    return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
-
-
 def _custom_ant_reward(before, actions, after, seconds):
     flipped = after.qpos[:, 2] < 0.2
     return before.qvel[:, 0] - 0.01 * _effort(actions) - _impact(after) - flipped
-
-
-def _cheetah_observation(physics: Physics) -> np.ndarray:
-    return np.concatenate([physics.qpos[:, 1:], physics.qvel], axis=1)
-
-
-def _cheetah_reward(before, actions, after, seconds):
-    return _forward(before, after, seconds) - 0.1 * _effort(actions)
-
-
-def _biped_observation(physics: Physics) -> np.ndarray:
-    return np.concatenate([physics.qpos[:, 1:], np.clip(physics.qvel, -10, 10)], axis=1)
-
-
-def _biped_reward(healthy: Callable[[Physics], np.ndarray]):
-    def reward(before, actions, after, seconds):
-        return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
-
-    return reward
 
 
 def _hopper_healthy(physics: Physics) -> np.ndarray:
@@ -171,11 +126,6 @@ def _hopper_healthy(physics: Physics) -> np.ndarray:
 def _walker_healthy(physics: Physics) -> np.ndarray:
     height, angle = physics.qpos[:, 1], physics.qpos[:, 2]
     return (height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0)
-
-
-def _ant_observation(physics: Physics) -> np.ndarray:
-    contact = physics.contact[:, 1:].reshape(len(physics.contact), -1)
-    return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
 
 
 def _ant_healthy(physics: Physics) -> np.ndarray:
@@ -201,55 +151,70 @@ def _gymnasium_model(file: str) -> mujoco.MjModel:
         mujoco.set_mju_user_warning(handler)
 
 
-def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, reward) -> Task:
-    return Task(
-        model=model,
-        frame_skip=5,
-        max_episode_steps=100,
-        camera=Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False),
-        noise=_maze_noise,
-        observe=_position(start),
-        reward=reward,
-        terminated=_never,
-    )
+def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, marsh_cost: float) -> Task:
+    def observe(physics):
+        height = np.zeros((len(physics.qpos), 1))
+        return np.concatenate([start + physics.qpos, height], axis=1)
+
+    def reward(before, actions, after, seconds):
+        position = start + before.qpos
+        distance = np.linalg.norm(position - models.GOAL, axis=1)
+        return -distance - 0.001 * _effort(actions) - marsh_cost * in_marsh(position)
+
+    camera = Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False)
+    return Task(model, camera, _maze_noise, observe, reward, max_episode_steps=100)
 
 
 def _point_maze(side: models.Side) -> Task:
-    return _point(lambda: models.point_maze(side), models.START, _maze_reward)
+    return _point(lambda: models.point_maze(side), models.START, marsh_cost=0.0)
 
 
 def _point_marsh(start: np.ndarray) -> Task:
-    return _point(lambda: models.point_marsh(start), start, _marsh_reward(start))
+    return _point(lambda: models.point_marsh(start), start, MARSH_COST)
 
 
-_ANT_CAMERA = Camera(lookat=(0.0, 0.0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
+def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated) -> Task:
+    def observe(physics):
+        contact = physics.contact[:, first_body:].reshape(len(physics.contact), -1)
+        return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
+
+    camera = Camera(lookat=(0, 0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
+    noise = _uniform_and_normal(0.1)
+    return Task(model, camera, noise, observe, reward, terminated, contact_forces=True)
 
 
 def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
-    return Task(
-        model=lambda: models.ant(disabled, actuator_legs),
-        frame_skip=5,
-        max_episode_steps=1000,
-        camera=_ANT_CAMERA,
-        noise=_uniform_and_normal(0.1),
-        observe=_custom_ant_observation,
-        reward=_custom_ant_reward,
-        terminated=_never,
-        contact_forces=True,
-    )
+    return _ant(lambda: models.ant(disabled, actuator_legs), 0, _custom_ant_reward, _never)
 
 
-def _biped(file: str, healthy: Callable[[Physics], np.ndarray], lookat_height: float) -> Task:
+def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
+    def observe(physics):
+        return np.concatenate([physics.qpos[:, 1:], np.clip(physics.qvel, -10, 10)], axis=1)
+
+    def reward(before, actions, after, seconds):
+        return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
+
     return Task(
         model=lambda: _gymnasium_model(file),
-        frame_skip=4,
-        max_episode_steps=1000,
-        camera=Camera(lookat=(0.0, 0.0, lookat_height), distance=3.2, elevation=-12, body=1),
+        camera=Camera(lookat=(0.0, 0.0, 0.8), distance=3.2, elevation=-12, body=1),
         noise=_uniform(5e-3),
-        observe=_biped_observation,
-        reward=_biped_reward(healthy),
+        observe=observe,
+        reward=reward,
         terminated=lambda physics: ~healthy(physics),
+        frame_skip=4,
     )
+
+
+def _half_cheetah() -> Task:
+    def observe(physics):
+        return np.concatenate([physics.qpos[:, 1:], physics.qvel], axis=1)
+
+    def reward(before, actions, after, seconds):
+        return _forward(before, after, seconds) - 0.1 * _effort(actions)
+
+    camera = Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1)
+    noise = _uniform_and_normal(0.1)
+    return Task(lambda: _gymnasium_model("half_cheetah.xml"), camera, noise, observe, reward)
 
 
 TASKS: dict[str, Task] = {
@@ -257,32 +222,15 @@ TASKS: dict[str, Task] = {
     "offairl/PointMazeRight-v0": _point_maze("Right"),
     "offairl/CustomAnt-v0": _custom_ant(disabled=False, actuator_legs=(4, 1, 2, 3)),
     "offairl/DisabledAnt-v0": _custom_ant(disabled=True, actuator_legs=(4, 1, 2, 3)),
-    # As released: an actor carried over from CustomAnt drives the wrong joints.
+    # As released: an actor trained on CustomAnt drives the wrong joints here.
     "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
     "offairl/PointMarsh-v0": _point_marsh(models.START),
     "offairl/PointMarshWest-v0": _point_marsh(models.WEST),
-    "HalfCheetah-v5": Task(
-        model=lambda: _gymnasium_model("half_cheetah.xml"),
-        frame_skip=5,
-        max_episode_steps=1000,
-        camera=Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1),
-        noise=_uniform_and_normal(0.1),
-        observe=_cheetah_observation,
-        reward=_cheetah_reward,
-        terminated=_never,
-    ),
-    "Hopper-v5": _biped("hopper.xml", _hopper_healthy, lookat_height=0.8),
-    "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy, lookat_height=0.8),
-    "Ant-v5": Task(
-        model=lambda: _gymnasium_model("ant.xml"),
-        frame_skip=5,
-        max_episode_steps=1000,
-        camera=_ANT_CAMERA,
-        noise=_uniform_and_normal(0.1),
-        observe=_ant_observation,
-        reward=_ant_reward,
-        terminated=lambda physics: ~_ant_healthy(physics),
-        contact_forces=True,
+    "HalfCheetah-v5": _half_cheetah(),
+    "Hopper-v5": _biped("hopper.xml", _hopper_healthy),
+    "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy),
+    "Ant-v5": _ant(
+        lambda: _gymnasium_model("ant.xml"), 1, _ant_reward, lambda after: ~_ant_healthy(after)
     ),
 }
 """The eight tasks of the paper, DisabledAnt with the actuator order of the released code, and the

@@ -137,7 +137,7 @@ def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
     finally:
         gymnasium.registry.pop("Modular-v0", None)
         sys.modules.pop("modular", None)
-    with pytest.raises(ModuleNotFoundError, match=r"no_such:Modular-v0: .*folder into PYTHON"):
+    with pytest.raises(ModuleNotFoundError, match=r"no_such:Modular-v0: .*folder to PYTHON"):
         envs.spec("no_such:Modular-v0")
     with pytest.raises(ValueError, match="unknown environment 'sys:Modular-v0'"):
         envs.spec("sys:Modular-v0")

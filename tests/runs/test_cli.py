@@ -110,7 +110,7 @@ def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewher
     offairl(f"{line} --policy mine/policy.safetensors --dataset own/file-v0")
     made = capsys.readouterr().out
     message = failure(f"{line} --policy mine --dataset own/file-v0", capsys)
-    assert "the data set own/file-v0 is there already, and is not overwritten" in message
+    assert "the data set own/file-v0 exists already, and is not overwritten" in message
     offairl(f"{line} --dataset own/folder-v0")
     assert capsys.readouterr().out == made  # the same policy's, and as it was
     assert "3 trajectories were asked for" not in made

@@ -1,0 +1,182 @@
+"""Maximum entropy inverse reinforcement learning.
+
+The causal form is that of Ziebart, Bagnell and Dey, "Modeling Interaction via the Principle of
+Maximum Causal Entropy" (2010); the form of paths is that of Ziebart et al. (2008).
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.optimize import minimize
+
+from offairl_lite.tabular.mdp import MDP
+from offairl_lite.tabular.paths import path_messages, path_occupancy
+from offairl_lite.tabular.planning import occupancy, require_temperature, soft_value_iteration
+
+Form = Literal["causal", "paths"]
+
+
+def log_likelihood(
+    mdp: MDP,
+    reward: Array,
+    demonstrated: Float[Array, "S A"],
+    temperature: float = 1.0,
+    form: Form = "causal",
+) -> tuple[float, Float[Array, "S A"]]:
+    """Return the log-likelihood of demonstrations under a reward, and its gradient in r(s, a).
+
+    L = (⟨ρ_E, r⟩ - E[V(s_0)])/α,  ∂L/∂r = (ρ_E - ρ)/α
+
+    with V and ρ of the soft optimum (`"causal"`) or of the distribution over paths (`"paths"`). L
+    is concave. In the causal form it is Σ_t γ^t log π(a_t | s_t) if ρ_E is the occupancy of some
+    policy. For counts of sampled demonstrations that holds only on average where the dynamics or
+    the first state are random, and L is then the dual of matching the counts. In the form of paths
+    a constant is left out, the logarithm of the demonstrated Π p(s' | s, a).
+
+    Args:
+        mdp: the process; for `"paths"` with a horizon and discount 1.
+        reward: r, of the state, of the pair, or of the pair and the next state.
+        demonstrated: ρ_E, from `planning.occupancy` or `sampling.empirical_occupancy`.
+        temperature: α > 0.
+        form: `"causal"` or `"paths"`.
+
+    Returns:
+        L, and its gradient (S, A). For a reward r(s), sum the gradient over the actions.
+
+    Raises:
+        ValueError: an argument is out of its range, or `demonstrated` has another sum than an
+            occupancy or visits a state that cannot be reached.
+    """
+    reward = mdp.expected_reward(reward)
+    demonstrated = _checked(mdp, demonstrated, temperature)
+    return _likelihood(mdp, reward, demonstrated, temperature, form)[:2]
+
+
+class Fit(NamedTuple):
+    """The result of `maxent_irl`."""
+
+    reward: Array
+    """(S,) or (S, A), as the features are."""
+    weights: Float[Array, "K"]
+    history: Float[Array, "I K"]
+    """The weights before the first step and after each step."""
+    log_likelihood: Float[Array, "I"]
+    """The log-likelihood at these weights, without the penalty."""
+    mismatch: float
+    """Largest difference between demonstrated and learned feature expectations."""
+
+
+def maxent_irl(
+    mdp: MDP,
+    demonstrated: Float[Array, "S A"],
+    features,
+    temperature: float = 1.0,
+    form: Form = "causal",
+    penalty: float = 0.0,
+    iterations: int = 500,
+) -> Fit:
+    """Learn the reward of greatest likelihood, linear in features: r = features @ weights.
+
+    L-BFGS maximises L - penalty/2 ‖weights‖², a concave function, from weights 0. Without a penalty
+    the maximum matches the demonstrated feature expectations; it need not be finite, since the best
+    reward of a pair that is never seen is -∞. One feature per state, `scipy.sparse.eye_array(S)`,
+    learns any r(s); one per pair, `eye_array(S * A)`, any r(s, a).
+
+    Args:
+        mdp: the process, as in `log_likelihood`.
+        demonstrated: ρ_E, as there.
+        features: dense or sparse, (S, K) for a reward of the state, (S·A, K) for one of the pair.
+        temperature: α > 0, the unit of the reward; demonstrations determine only r/α.
+        form: `"causal"` or `"paths"`.
+        penalty: λ ≥ 0.
+        iterations: the largest number of steps.
+
+    Raises:
+        ValueError: the features have another shape, λ is negative, or `log_likelihood` raises it.
+    """
+    s, a = mdp.num_states, mdp.num_actions
+    if features.ndim != 2 or features.shape[0] not in (s, s * a):
+        raise ValueError(f"features must be ({s}, K) or ({s * a}, K), not {features.shape}")
+    if not penalty >= 0:
+        raise ValueError(f"penalty must be at least 0, not {penalty}")
+    demonstrated = _checked(mdp, demonstrated, temperature)
+    of_state = features.shape[0] == s
+    guess = np.zeros(s)
+
+    def reward_of(weights):
+        return (features @ weights).reshape((s,) if of_state else (s, a))
+
+    def loss(weights):
+        nonlocal guess
+        reward = mdp.expected_reward(reward_of(weights))
+        value, gradient, guess = _likelihood(mdp, reward, demonstrated, temperature, form, guess)
+        gradient = features.T @ (gradient.sum(1) if of_state else gradient.ravel())
+        return penalty / 2 * weights @ weights - value, penalty * weights - gradient
+
+    start = np.zeros(features.shape[1])
+    steps = [(start, -loss(start)[0])]
+
+    def keep(intermediate_result):
+        weights, value = intermediate_result.x.copy(), -intermediate_result.fun
+        steps.append((weights, value + penalty / 2 * weights @ weights))
+
+    tolerance = {"ftol": 0, "gtol": 1e-9 * demonstrated.sum() / temperature}
+    options = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, **tolerance}
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
+    history, likelihood = (np.array(part) for part in zip(*steps, strict=True))
+    mismatch = temperature * np.abs(found.jac - penalty * found.x).max()
+    return Fit(reward_of(found.x), found.x, history, likelihood, mismatch)
+
+
+def _likelihood(
+    mdp: MDP,
+    reward: Float[Array, "S A"],
+    demonstrated: Float[Array, "S A"],
+    temperature: float,
+    form: Form,
+    guess: Float[Array, "S"] | None = None,
+) -> tuple[float, Float[Array, "S A"], Float[Array, "S"]]:
+    """Return L, its gradient and V at the first step; planning starts at a guess of that V."""
+    if form == "paths":
+        solution = path_messages(mdp, reward, temperature)
+        visits = path_occupancy(mdp, solution, temperature)
+    elif form == "causal":
+        solution = soft_value_iteration(mdp, reward, temperature, guess)
+        visits = occupancy(mdp, solution.policy)
+    else:
+        raise ValueError(f"form must be 'causal' or 'paths', not {form!r}")
+    first = solution.value if mdp.horizon is None else solution.value[0]
+    value = ((demonstrated * reward).sum() - mdp.initial @ first) / temperature
+    return float(value), (demonstrated - visits) / temperature, first
+
+
+def _checked(mdp: MDP, demonstrated: Array, temperature: float) -> Float[Array, "S A"]:
+    """Return the demonstrated visits if some policy of the process can have made them."""
+    require_temperature(temperature, positive=True)
+    demonstrated = np.asarray(demonstrated, dtype=float)
+    shape = (mdp.num_states, mdp.num_actions)
+    if demonstrated.shape != shape:
+        raise ValueError(f"demonstrated must have shape {shape}, not {demonstrated.shape}")
+    if not ((demonstrated >= 0) & (demonstrated < np.inf)).all():
+        raise ValueError("demonstrated must hold visits, which are at least 0 and finite")
+    if not np.isclose(demonstrated.sum(), mdp.total_visits, rtol=1e-4):
+        raise ValueError(
+            f"demonstrated adds up to {demonstrated.sum():.6g}, but every occupancy of the process "
+            f"to {mdp.total_visits:.6g}; count with the same discount and horizon, over whole "
+            "episodes, or every reward is too high or too low"
+        )
+    reached = mdp.initial > 0
+    for _ in range(mdp.num_states if mdp.horizon is None else mdp.horizon - 1):
+        grown = reached | (mdp.push(np.broadcast_to(reached[:, None], shape)) > 0)
+        if (grown == reached).all():
+            break
+        reached = grown
+    lost = np.flatnonzero((demonstrated > 0).any(1) & ~reached)
+    if len(lost):
+        raise ValueError(
+            f"demonstrations visit {len(lost)} states that no policy reaches from the initial "
+            f"distribution, the first of them {lost[0]}"
+        )
+    return demonstrated

@@ -1,0 +1,78 @@
+"""The shifting maze as a grid."""
+
+from typing import NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csr_array
+
+from offairl_lite.envs.models import GOAL, START, Side, walls
+from offairl_lite.tabular.mdp import MDP
+
+MOVES = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)])
+"""The maze's actions as moves along x and y in cells, (5, 2): stay, right, up, left, down."""
+
+
+class Maze(NamedTuple):
+    """The shifting maze as a grid, with its reward and the positions of its cells."""
+
+    mdp: MDP
+    positions: Float[Array, "S 2"]
+    """Centres of the cells in metres, rows of equal y one after another: `v.reshape(cells, cells)`
+    of a state function has y along its first axis and x along its second."""
+    reward: Float[Array, "S"]
+    """The true reward: minus the distance from the target, in metres."""
+
+
+def maze(
+    cells: int,
+    side: Side,
+    slip: float = 0.0,
+    discount: float = 0.97,
+    horizon: int | None = None,
+) -> Maze:
+    """Return the shifting maze of `envs`, cut into cells × cells squares.
+
+    The particle is a point in the middle of a square, and moves to a neighbouring square or stays
+    (`MOVES`). A move into a wall leaves it where it is. The mazes of both sides have the same
+    states, so that a reward learned in one can be used in the other.
+
+    Args:
+        cells: number of squares along each side of the maze, whose 0.7 m are divided evenly.
+        side: the side on which the barrier is attached; `"Left"` leaves the gap on the right.
+        slip: probability that the action is replaced by one of the five, drawn at random.
+        discount: γ.
+        horizon: number of actions in an episode, or None.
+
+    Raises:
+        ValueError: there are fewer than 3 cells, which leave no room for the barrier; the side is
+            unknown; the slip is outside [0, 1]; or `mdp.MDP` refuses the discount or the horizon.
+    """
+    if cells < 3:
+        raise ValueError(f"the maze needs at least 3 cells a side, not {cells}")
+    if not 0 <= slip <= 1:
+        raise ValueError(f"slip is a probability, not {slip}")
+    if side not in get_args(Side):
+        raise ValueError(f"side must be 'Left' or 'Right', not {side!r}")
+    segments = walls(side)
+    low, high = segments[:4].min(), segments[:4].max()
+    centres = low + (high - low) * (np.arange(cells) + 0.5) / cells
+    states, actions = cells**2, len(MOVES)
+    row, column = np.divmod(np.arange(states), cells)
+    positions = np.stack([centres[column], centres[row]], 1)
+
+    to_column = np.clip(column[:, None] + MOVES[:, 0], 0, cells - 1)
+    to_row = np.clip(row[:, None] + MOVES[:, 1], 0, cells - 1)
+    (left, height), (right, _) = segments[4]
+    below, x = centres < height, centres[column]
+    crosses = (below[row][:, None] != below[to_row]) & ((left < x) & (x < right))[:, None]
+    arrival = np.where(crosses, np.arange(states)[:, None], to_row * cells + to_column)
+
+    move = csr_array((np.ones(arrival.size), (np.arange(arrival.size), arrival.ravel())))
+    origin = np.repeat(np.arange(states), actions)
+    drift = csr_array((np.full(arrival.size, 1 / actions), (origin, arrival.ravel())))
+    start = np.linalg.norm(positions - START, axis=1).argmin()
+    initial = np.eye(states)[start]
+    mdp = MDP((1 - slip) * move + slip * drift[origin], initial, discount, horizon)
+    return Maze(mdp, positions, -np.linalg.norm(positions - GOAL, axis=1))

@@ -1,0 +1,145 @@
+"""A Markov decision process given as arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from scipy.sparse import csr_array, issparse
+
+
+@dataclass(frozen=True, eq=False)
+class MDP:
+    """A Markov decision process without its reward.
+
+    Args:
+        transition: probabilities p(s' | s, a): an array (S, A, S), or a sparse matrix (S·A, S)
+            whose row s·A + a is the distribution of s'. It is stored as such a matrix, in CSR form.
+        initial: distribution of the first state, (S,).
+        discount: γ, from 0 to 1.
+        horizon: number of actions T of an episode, or None if episodes have no end; then γ < 1.
+
+    Raises:
+        ValueError: a shape does not fit; a probability is negative or not finite, or a distribution
+            does not sum to one; the discount is out of range; or the horizon is below 1.
+    """
+
+    transition: csr_array
+    initial: Float[Array, "S"]
+    discount: float
+    horizon: int | None = None
+
+    def __post_init__(self):
+        transition = _as_matrix(self.transition)
+        rows, states = transition.shape
+        wrong = np.flatnonzero(~are_distributions(transition))
+        if len(wrong):
+            s, a = divmod(int(wrong[0]), rows // states)
+            row = transition[[wrong[0]]].toarray()
+            raise ValueError(
+                f"transition: the probabilities p(· | s={s}, a={a}) must be at least 0 and sum to "
+                f"1, but the least is {row.min():.6g} and the sum {row.sum():.6g} ({len(wrong)} of "
+                f"{rows} rows are wrong)"
+            )
+        initial = np.asarray(self.initial, dtype=float)
+        if initial.shape != (states,):
+            raise ValueError(f"initial must have shape ({states},), not {initial.shape}")
+        if not are_distributions(initial[None]).all():
+            raise ValueError(
+                f"initial must be at least 0 and sum to 1; its least value is {initial.min():.6g} "
+                f"and its sum {initial.sum():.6g}"
+            )
+        if self.horizon is not None and (self.horizon != int(self.horizon) or self.horizon < 1):
+            raise ValueError(
+                "horizon must be a whole number of steps, at least 1, or None for episodes "
+                f"without end, not {self.horizon}"
+            )
+        if not 0 <= self.discount <= 1:
+            raise ValueError(f"discount must be from 0 to 1, not {self.discount}")
+        if self.horizon is None and self.discount == 1:
+            raise ValueError(
+                "without a horizon the discount must be below 1, or returns are infinite; choose "
+                "a horizon or a discount such as 0.99"
+            )
+        object.__setattr__(self, "transition", transition)
+        object.__setattr__(self, "initial", initial)
+
+    @property
+    def num_states(self) -> int:
+        """S."""
+        return self.transition.shape[1]
+
+    @property
+    def num_actions(self) -> int:
+        """A."""
+        return self.transition.shape[0] // self.num_states
+
+    @property
+    def total_visits(self) -> float:
+        """1 + γ + γ² + ..., the sum of every occupancy."""
+        if self.horizon is None:
+            return 1 / (1 - self.discount)
+        return float((self.discount ** np.arange(self.horizon)).sum())
+
+    def expect(self, value: Float[Array, "S"]) -> Float[Array, "S A"]:
+        """Return E[value(s') | s, a]."""
+        return (self.transition @ value).reshape(self.num_states, self.num_actions)
+
+    def push(self, flow: Float[Array, "S A"]) -> Float[Array, "S"]:
+        """Return the flow that arrives in each state s': Σ flow(s, a) p(s' | s, a)."""
+        return self.transition.T @ flow.ravel()
+
+    def expected_reward(self, reward: Array) -> Float[Array, "S A"]:
+        """Return r(s, a) for a reward r(s), r(s, a) or r(s, a, s'): the mean over s'."""
+        reward = np.asarray(reward, dtype=float)
+        s, a = self.num_states, self.num_actions
+        if reward.shape not in ((s,), (s, a), (s, a, s)):
+            raise ValueError(
+                f"reward must have shape {(s,)}, {(s, a)} or {(s, a, s)}, not {reward.shape}"
+            )
+        if not np.isfinite(reward).all():
+            raise ValueError("reward must be finite; to forbid an action, give it a large cost")
+        if reward.ndim == 3:
+            reward = self.transition.multiply(reward.reshape(s * a, s)).sum(axis=1).reshape(s, a)
+        return np.broadcast_to(reward.T, (a, s)).T if reward.ndim == 1 else reward
+
+    def checked_policy(self, policy: Array) -> Float[Array, "*T S A"]:
+        """Return a policy, with a time axis if there is a horizon.
+
+        Raises:
+            ValueError: the policy has another shape, or is not a distribution over actions.
+        """
+        policy = np.asarray(policy, dtype=float)
+        shape = (self.num_states, self.num_actions)
+        timed = shape if self.horizon is None else (self.horizon, *shape)
+        if policy.shape not in (shape, timed):
+            allowed = f"{shape}" if self.horizon is None else f"{shape} or {timed}"
+            raise ValueError(f"policy must have shape {allowed}, not {policy.shape}")
+        if not are_distributions(policy.reshape(-1, shape[1])).all():
+            raise ValueError(
+                "policy must be at least 0 and sum to 1 over the actions of every state; the sums "
+                f"are from {policy.sum(-1).min():.6g} to {policy.sum(-1).max():.6g} (pass "
+                "probabilities, not their logarithms)"
+            )
+        return np.broadcast_to(policy, timed)
+
+
+def are_distributions(rows) -> Array:
+    """Return whether each row, dense or sparse, is at least 0 and sums to one, (N,)."""
+    return (abs(rows.sum(axis=1) - 1) < 1e-6) & (abs(rows).sum(axis=1) - rows.sum(axis=1) == 0)
+
+
+def _as_matrix(transition) -> csr_array:
+    """Return transition probabilities as a sparse matrix (S·A, S) without explicit zeros."""
+    array = transition if issparse(transition) else np.asarray(transition, dtype=float)
+    rows, states = np.prod(array.shape[:-1], dtype=int), array.shape[-1]
+    fits = issparse(array) or (array.ndim == 3 and array.shape[0] == states)
+    if not fits or states == 0 or rows == 0 or rows % states:
+        raise ValueError(
+            "transition must be an array (S, A, S), or a sparse matrix of S·A rows and S columns, "
+            f"not {'sparse' if issparse(array) else 'an array'} {array.shape}"
+        )
+    matrix = csr_array(array.reshape(rows, states), dtype=float)
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix

@@ -1,0 +1,114 @@
+"""Demonstrations on a tabular process: drawn from a policy, and counted."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from offairl_lite.tabular.mdp import MDP
+
+
+class Trajectories(NamedTuple):
+    """N demonstrations of equal length T."""
+
+    states: Int[Array, "N T+1"]
+    """The visited states, including the state after the last action."""
+    actions: Int[Array, "N T"]
+
+
+def sample(
+    mdp: MDP,
+    policy: Float[Array, "*T S A"],
+    episodes: int,
+    rng: np.random.Generator,
+    length: int | None = None,
+) -> Trajectories:
+    """Draw trajectories of a policy.
+
+    Args:
+        mdp: the process.
+        policy: the policy, π.
+        episodes: number of trajectories, N.
+        rng: the source of all randomness.
+        length: number of actions in each trajectory, at most the horizon, which is the default.
+
+    Raises:
+        ValueError: the policy does not fit the process, or the length does not fit the horizon.
+    """
+    policy = mdp.checked_policy(policy)
+    length = mdp.horizon if length is None else length
+    if length is None or not 1 <= length <= (mdp.horizon or length):
+        raise ValueError(
+            f"length must be at least 1 and at most the horizon, {mdp.horizon}, not {length}; "
+            "where there is no horizon it must be given"
+        )
+    steps = policy if policy.ndim == 3 else np.broadcast_to(policy, (length, *policy.shape))
+    state = _draw(np.broadcast_to(mdp.initial, (episodes, mdp.num_states)), rng)
+    states, actions = [state], []
+    for pi in steps[:length]:
+        action = _draw(pi[state], rng)
+        state = _draw(mdp.transition[state * mdp.num_actions + action].toarray(), rng)
+        actions.append(action)
+        states.append(state)
+    return Trajectories(np.stack(states, 1), np.stack(actions, 1))
+
+
+def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S A"]:
+    """Return the discounted counts of the demonstrated pairs (s, a), averaged over trajectories.
+
+    The result estimates `planning.occupancy` and has the same sum: without a horizon the counts of
+    T actions are divided by 1 - γ^T, as if everything later were like the recorded part.
+
+    Raises:
+        ValueError: the shapes do not fit each other or the horizon; a state or an action does not
+            exist in the process; or a trajectory has a start or a step of probability 0.
+    """
+    states, actions = (np.asarray(part) for part in trajectories)
+    _require_possible(mdp, states, actions)
+    count, length = actions.shape
+    weight = mdp.discount ** np.arange(length)
+    weight = np.tile(weight * mdp.total_visits / weight.sum() / count, count)
+    pairs = (states[:, :-1] * mdp.num_actions + actions).ravel()
+    counts = np.bincount(pairs, weight, mdp.transition.shape[0])
+    return counts.reshape(mdp.num_states, mdp.num_actions)
+
+
+def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
+    """Raise ValueError unless these trajectories can come from the process."""
+    fits = states.ndim == 2 and (len(states), states.shape[1] - 1) == actions.shape
+    if not fits or 0 in actions.shape:
+        raise ValueError(
+            f"expected states (N, T + 1) and actions (N, T), got {states.shape} and {actions.shape}"
+        )
+    length = actions.shape[1]
+    if mdp.horizon not in (None, length):
+        raise ValueError(
+            f"trajectories of {length} actions cannot be compared with occupancies over the "
+            f"horizon {mdp.horizon}; make the two equal"
+        )
+    limits = ("state", states, mdp.num_states), ("action", actions, mdp.num_actions)
+    for name, index, bound in limits:
+        if index.min() < 0 or index.max() >= bound:
+            raise ValueError(
+                f"a {name} must be from 0 to {bound - 1}, but they are from {index.min()} to "
+                f"{index.max()}"
+            )
+    for t in range(length):
+        rows = mdp.transition[states[:, t] * mdp.num_actions + actions[:, t]].toarray()
+        for n in np.flatnonzero(rows[np.arange(len(rows)), states[:, t + 1]] == 0):
+            raise ValueError(
+                f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
+                f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that "
+                "it was recorded in this process"
+            )
+    for n in np.flatnonzero(mdp.initial[states[:, 0]] == 0):
+        raise ValueError(
+            f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
+        )
+
+
+def _draw(probabilities: Float[Array, "N K"], rng: np.random.Generator) -> Int[Array, "N"]:
+    """Draw one index from each row."""
+    total = probabilities.cumsum(1)
+    return (total > rng.random((len(total), 1)) * total[:, -1:]).argmax(1)

@@ -1,0 +1,22 @@
+"""A task of one's own."""
+
+import gymnasium
+import numpy as np
+
+BOX = gymnasium.spaces.Box
+
+
+class Arm(gymnasium.Env):
+    """A task of one's own, five steps long; the observation is the last action."""
+
+    def __init__(self, observations=None, actions=None, mass=1.0):
+        self.observation_space = observations or BOX(-9, 9, (2,))
+        self.action_space = actions or BOX(np.float32([-2, 0]), np.float32([4, 1]))
+        self.mass = mass
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.np_random.uniform(-1, 1, 2).astype(np.float32), {}
+
+    def step(self, action):
+        return np.float32(action) / np.float32(self.mass), float(action.sum()), False, False, {}
