@@ -93,7 +93,7 @@ def double():
 def test_core_with_one_member_takes_the_same_steps():
     rng = generator()
     sac, discriminator = plain.SAC(OBS, ACT, rng), plain.Discriminator(OBS, rng)
-    optimizer = plain.adam(discriminator.parameters())
+    optimizer = discriminator.optimizer
     core = tuple(core_learners())
     ours = plain_networks(sac, discriminator)
     with torch.no_grad():
