@@ -1,4 +1,4 @@
-"""Off-policy AIRL for one seed, in ordinary PyTorch, by chapters 2 to 5."""
+"""Off-policy AIRL in ordinary PyTorch, for one seed: chapters 2 to 5."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -99,10 +99,10 @@ def airl_loss(
     expert: Batch,
     policy: Batch,
     log_probs: list[Vector],
-    mix: Float[Tensor, "B 1"],
+    mix: Float[Tensor, "B 1"],  # where between both the penalty is taken
     penalty_weight: float = 10.0,
 ) -> Scalar:
-    """Return the cross-entropy of logits f - log π, plus the penalty."""
+    """Return the cross-entropy of logits f - log π plus the penalty of f."""
     expert_logit = f(expert.obs, expert.next_obs) - log_probs[0]
     policy_logit = f(policy.obs, policy.next_obs) - log_probs[1]
     obs = torch.lerp(policy.obs, expert.obs, mix)
@@ -183,7 +183,7 @@ def actor_loss(log_prob: Vector, q: TwinQ, alpha: Scalar) -> Scalar:
 
 
 def temperature_loss(alpha: Scalar, log_prob: Vector, target_entropy: float) -> Scalar:
-    """Return J_α = -E[α (log π + H̄)]; α grows if the entropy is below H̄."""
+    """Return J_α = -E[α (log π + H̄)], by which the entropy becomes H̄."""
     return -(alpha * (log_prob.detach() + target_entropy)).mean()
 
 
@@ -239,7 +239,7 @@ def update_actor(sac: SAC, obs: Obs, noise: Action):
 
 # Chapter 5: off-policy AIRL (Arnob 2020).
 def normaliser(*sources: Obs) -> Scale:
-    """Return the scaling to mean 0, variance 1 of an even mix of sources."""
+    """Return the scaling to mean 0 and variance 1 of an even mixture."""
     mean = sum(obs.mean(0) for obs in sources) / len(sources)
     squares = [(obs - mean).square().mean(0) for obs in sources]
     std = (sum(squares) / len(sources)).sqrt()
@@ -296,7 +296,7 @@ def train(
     num_episodes: int = 60,
     warmup: int = 30,
 ) -> Iterator[tuple[int, float, SAC, Discriminator, Scale]]:
-    """Run Algorithm 1; yield steps, return and learners as they change."""
+    """Run Algorithm 1; yield steps, a return and the learners so far."""
     env.reset(seed=int(torch.randint(2**31, (), generator=rng)))
     dims = demos.obs.shape[1], demos.pre_tanh.shape[1]
     noise = partial(torch.randn, generator=rng)
@@ -306,23 +306,22 @@ def train(
     airl, sac = Discriminator(dims[0], rng), SAC(*dims, rng)
 
     def act(obs: Obs, noise: Action | float = 0.0) -> Action:
+        # Without noise this is the policy's mode.
         return sac.actor.sample(scale(obs), noise)[0]
 
     for k in range(num_episodes):
-        if k == len(episodes):  # All so far have been learned from.
+        if k == len(episodes):  # The warm-up has been learned from: act.
             episode = run_episode(env, lambda obs: act(obs, noise(dims[1])))
             episodes.append(episode)
         replay, steps = join(episodes), len(episodes[k].reward)
-        for _ in range(steps):
-            expert, policy = (
-                draw(demos, scale, rng),
-                draw(replay, scale, rng),
-            )
+        for _ in range(steps):  # Train the discriminator.
+            expert = draw(demos, scale, rng)
+            policy = draw(replay, scale, rng)
             log_probs = [sac.actor.log_prob(x) for x in (expert, policy)]
             mix = torch.rand(BATCH_SIZE, 1, generator=rng)
             loss = airl_loss(airl.f, expert, policy, log_probs, mix)
             descend(loss, airl.optimizer)
-        for _ in range(steps):
+        for _ in range(steps):  # Train the policy on the reward r(s).
             batch = draw(replay, scale, rng)
             reward = airl.r(batch.obs).detach()
             sac.update(batch, reward, noise(2, BATCH_SIZE, dims[1]))
