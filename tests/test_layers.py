@@ -10,12 +10,11 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config core.rng core.acceleration envs tabular core.networks core.policies core.replay
-core.absorbing core.rollouts minari_storage demonstrations
-core.rewards core.discriminator core.sac core.td3
-core.ppo core.loop experiments analysis.statistics analysis.epic analysis.plots analysis.films
-runs.shipping
-runs.records runs.tensorboard runs.provenance runs.disk runs.folders runs.jobs runs.sweep runs.bench
-runs.cli
+core.absorbing core.rollouts minari_storage demonstrations plain core.rewards core.discriminator
+core.sac core.td3 core.ppo core.results core.collector core.models core.fitting core.evaluation
+core.requirements core.loop ablations experiments analysis.statistics analysis.epic analysis.plots
+analysis.films runs.shipping runs.records runs.tensorboard runs.provenance runs.disk runs.folders
+runs.jobs runs.sweep runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"
