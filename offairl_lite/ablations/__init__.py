@@ -1,1 +1,7 @@
-"""What exists for one experiment of the book only: other bounds on the discriminator."""
+"""What exists for one experiment of the book only.
+
+Other bounds on the discriminator, and what the paper's released code does. Each has settings of its
+own, by whose type it is chosen.
+"""
+
+from offairl_lite.ablations import bottleneck, penalties, released  # noqa: F401

@@ -9,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from offairl_lite.config import DiscriminatorConfig
+from offairl_lite.config.settings import Count, Positive
 from offairl_lite.core.discriminator import (
     Discriminator,
     Judgement,
@@ -16,6 +18,7 @@ from offairl_lite.core.discriminator import (
     Transitions,
     airl_loss,
     diagnostics,
+    make_discriminator,
 )
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rng import Streams
@@ -112,6 +115,30 @@ class Code:
         return encoder, self.head.layers(head)
 
 
+@dataclass(frozen=True)
+class BottleneckConfig(DiscriminatorConfig):
+    """The settings of a discriminator with a bottleneck."""
+
+    kind = "bottleneck"
+
+    bottleneck: Positive = 0.5
+    """I_c: the most nats that a transition's stochastic code may carry, on average."""
+
+    bottleneck_size: Count = 8
+    """Dimension of the code of r's input, and of that of V's."""
+
+    bottleneck_rate: Positive = 1e-5
+    """Step of the dual ascent that enforces `bottleneck`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reward == "gan-gcl" or self.reward_sees is not None:
+            raise ValueError(
+                "ablation='bottleneck' is for single transitions and plain networks: choose a "
+                "reward other than gan-gcl, and set reward_sees=None"
+            )
+
+
 class Bottleneck(Discriminator):
     """r and V see a transition through codes that carry I_c nats on average at most.
 
@@ -152,7 +179,7 @@ class Bottleneck(Discriminator):
         states = torch.cat([transitions.obs, transitions.next_obs], 1)
         both = self.value_code.spread(self.value_params, states)
         (now, then), (divergence_now, divergence_then) = (part.chunk(2, 1) for part in both)
-        variance = variance + now + self.config.discriminator_discount**2 * then
+        variance = variance + now + self.config.discount**2 * then
         return variance, divergence + divergence_now + divergence_then
 
     def loss(self, judgement: Judgement) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
@@ -181,3 +208,8 @@ class Bottleneck(Discriminator):
             ascent = self.config.bottleneck_rate * metrics["excess"].unsqueeze(-1)
             self.multiplier.add_(ascent).clamp_(min=0)
         return metrics
+
+
+@make_discriminator.register
+def _(config: BottleneckConfig, *given, **named) -> Bottleneck:
+    return Bottleneck(config, *given, **named)

@@ -1,16 +1,25 @@
 """Other ways to keep a discriminator from being too steep or too sure (chapter 6)."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from offairl_lite.core.discriminator import Discriminator, Transitions
+from offairl_lite.config import DiscriminatorConfig
+from offairl_lite.core.discriminator import Discriminator, Transitions, make_discriminator
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Streams
+
+
+@dataclass(frozen=True)
+class OneSidedConfig(DiscriminatorConfig):
+    """A one-sided penalty."""
+
+    kind = "one-sided"
 
 
 class OneSided(Discriminator):
@@ -25,6 +34,13 @@ class OneSided(Discriminator):
     ) -> Float[Tensor, "S B"]:
         """Return ‖∇f‖, or 1 where it is smaller."""
         return super().gradient_norm(expert, policy, log_probs, coefficient).clamp(min=1)
+
+
+@dataclass(frozen=True)
+class OnProbabilityConfig(DiscriminatorConfig):
+    """The released penalty."""
+
+    kind = "penalty-on-probability"
 
 
 class OnProbability(Discriminator):
@@ -94,6 +110,20 @@ def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
     return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
 
 
+@dataclass(frozen=True)
+class SpectralNormConfig(DiscriminatorConfig):
+    """Spectral normalisation."""
+
+    kind = "spectral-norm"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reward_sees is not None:
+            raise ValueError(
+                f"reward_sees is {self.reward_sees}, which is for plain networks: set it to None"
+            )
+
+
 class SpectralNorm(Discriminator):
     """Divides each weight matrix of r and V by its largest singular value (Miyato et al. 2018).
 
@@ -128,3 +158,18 @@ class SpectralNorm(Discriminator):
         for (net, params), vectors in zip(trained, self.vectors, strict=True):
             vectors.copy_(power_iteration(net, params, vectors))
         return super().update(*minibatch)
+
+
+@make_discriminator.register
+def _(config: OneSidedConfig, *given, **named) -> OneSided:
+    return OneSided(config, *given, **named)
+
+
+@make_discriminator.register
+def _(config: OnProbabilityConfig, *given, **named) -> OnProbability:
+    return OnProbability(config, *given, **named)
+
+
+@make_discriminator.register
+def _(config: SpectralNormConfig, *given, **named) -> SpectralNorm:
+    return SpectralNorm(config, *given, **named)

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import Config, LearnerConfig
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Execution:
         return with_onednn(step) if self.onednn and onednn_is_exact() else step
 
 
-def is_large(config: Config) -> bool:
+def is_large(config: LearnerConfig) -> bool:
     """Return whether networks are so large that the time goes to arithmetic, not to calls.
 
     Members then gain little from being in one population, and more from a core each.
@@ -89,7 +89,7 @@ def fitting(
     Raises:
         ValueError: see `Execution`.
     """
-    large = is_large(config)
+    large = is_large(config.learner)
     long = large and config.total_steps >= 50_000
     compiled = long and compiler() is not None if compile == "auto" else compile == "yes"
     return Execution(device, threads, compiled, onednn=large and device == "cpu")

@@ -11,7 +11,7 @@ from gymnasium.vector import VectorEnv
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import Config, PPOConfig
 from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
@@ -187,7 +187,7 @@ class Collector:
             if len(ended):
                 self.replay.add(absorbing.loops(batch), members[ended])
             return
-        off_policy = self.config.learner.generator != "ppo"
+        off_policy = not isinstance(self.config.learner, PPOConfig)
         if off_policy and self.config.learns_reward and batch.terminated.any():
             _say_that_ends_matter(self.config.env_id)
         self.replay.add(batch, members)

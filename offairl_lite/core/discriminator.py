@@ -9,14 +9,15 @@ DAC's is the special case $\ell = r_\psi(s, a)$, without shaping. GAN-GCL judges
 $\ell = \sum_t r_\psi(s_t, a_t) - \log \pi(a_t|s_t)$.
 """
 
-from typing import NamedTuple
+from functools import singledispatch
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from offairl_lite.config import Config
+from offairl_lite.config import DiscriminatorConfig
 from offairl_lite.core.networks import TINY, Adam, Normaliser, StackedMLP, descend, optimizer_states
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
@@ -94,31 +95,34 @@ class Discriminator:
     """r and V of `S` members, and how they are trained.
 
     Args:
-        config: hyper-parameters; `reward` chooses the variant.
+        config: its settings; `reward` chooses the variant.
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
         rng: for the initial weights.
         normaliser: scales every observation that comes in. The penalty holds ‖∇f‖ near 1 in the
             coordinates that it gives, so their scale is part of the algorithm.
         horizon: steps that are judged together: an episode's for GAN-GCL, otherwise 1.
+        env_id: the task, for the rewards that are learned.
     """
 
     def __init__(
         self,
-        config: Config,
+        config: DiscriminatorConfig,
         obs_dim: int,
         action_dim: int,
         rng: Streams,
         normaliser: Normaliser,
         horizon: int = 1,
+        env_id: str = "",
     ) -> None:
-        self.config, self.normaliser, self.horizon = config, normaliser, horizon
+        self.config, self.normaliser = config, normaliser
+        self.horizon, self.env_id = horizon, env_id
         self.is_airl = config.reward in IMPLEMENTATIONS
         self.has_policy = self.is_airl or config.reward == "gan-gcl"
         kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
         self.state_only, self.reward_is_logit = kind
         inputs = obs_dim if self.state_only else obs_dim + action_dim
-        activation = config.discriminator_activation
+        activation = config.activation
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), activation)
         self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), activation)
         self.reward_params, self.value_params = self.init(rng)
@@ -130,19 +134,6 @@ class Discriminator:
             seen = [*config.reward_sees, *range(obs_dim, inputs)]
             self.mask = self.reward_net.mask(seen).to(rng.device)
 
-    @staticmethod
-    def of(config: Config) -> "type[Discriminator]":
-        """Return the discriminator, or the ablation of it, that a configuration asks for."""
-        from offairl_lite.ablations import bottleneck, penalties
-
-        if config.bottleneck is not None:
-            return bottleneck.Bottleneck
-        if config.spectral_norm:
-            return penalties.SpectralNorm
-        if config.penalty_on == "probability":
-            return penalties.OnProbability
-        return penalties.OneSided if config.penalty_sides == "one" else Discriminator
-
     def init(self, rng: Streams) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
         """Draw the initial weights of r and V."""
         return self.reward_net.init(rng), self.value_net.init(rng)
@@ -150,7 +141,7 @@ class Discriminator:
     @property
     def policy_in_logit(self) -> bool:
         """Whether the logit is f - log π, not f."""
-        return self.has_policy and self.config.policy_in_logit
+        return self.has_policy and self.config.loss != "released"
 
     @property
     def needs_log_prob(self) -> bool:
@@ -190,7 +181,7 @@ class Discriminator:
             return r
         states = torch.cat([transitions.obs, transitions.next_obs], 1)
         value, next_value = self.value_net(self.value_weights, states).squeeze(-1).chunk(2, 1)
-        return shaped_reward(r, value, next_value, self.config.discriminator_discount)
+        return shaped_reward(r, value, next_value, self.config.discount)
 
     def f_and_gradients(self, transitions: Transitions) -> tuple[Float[Tensor, "S B"], Transitions]:
         """Return f and its gradients ∇f by s, a and s'."""
@@ -204,7 +195,7 @@ class Discriminator:
         states = torch.cat([obs, next_obs], 1)
         values, slopes = self.value_net.value_and_input_gradient(self.value_weights, states)
         (value, next_value), (slope, next_slope) = values.chunk(2, 1), slopes.chunk(2, 1)
-        discount = self.config.discriminator_discount
+        discount = self.config.discount
         f = shaped_reward(r, value, next_value, discount)
         return f, Transitions(by_obs - slope, by_action, discount * next_slope)
 
@@ -275,7 +266,7 @@ class Discriminator:
             expert: demonstrations.
             policy: transitions from replay.
             expert_log_prob: log π of the expert's actions, or what stands for it, see
-                `Config.replay_density`; looked at where `needs_log_prob`.
+                `DiscriminatorConfig.loss`; looked at where `needs_log_prob`.
             policy_log_prob: the same of the policy's actions.
             coefficient: uniform in [0, 1): where between both the penalty is taken.
 
@@ -308,8 +299,8 @@ class Discriminator:
     @property
     def frozen(self) -> Reward:
         """r as it is now; later updates do not change it."""
-        params, env_id = self.reward_weights.detach().clone(), self.config.env_id
-        return Reward(env_id, self.reward_net, self.state_only, params, self.normaliser)
+        params = self.reward_weights.detach().clone()
+        return Reward(self.env_id, self.reward_net, self.state_only, params, self.normaliser)
 
 
 def diagnostics(
@@ -324,3 +315,9 @@ def diagnostics(
         "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
         "entropy": (entropy(expert_logit) + entropy(policy_logit)).detach().mean(-1) / 2,
     }
+
+
+@singledispatch
+def make_discriminator(config: DiscriminatorConfig, *given: Any, **named: Any) -> Discriminator:
+    """Return the discriminator that its settings ask for; an ablation has settings of its own."""
+    return Discriminator(config, *given, **named)

@@ -19,7 +19,7 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import envs
-from offairl_lite.config import Config
+from offairl_lite.config import Config, Schedule
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members
@@ -45,7 +45,7 @@ class Trainer:
         seeds: one for each member of the population.
         demonstrations: needed where a reward is learned.
         frozen_reward: needed where `config.reward` is `frozen`: as many members as seeds.
-        pretrained_policy: needed where `carry` is not `nothing`: as many members as seeds.
+        pretrained_policy: needed where `pretrained` is not `nothing`: as many members as seeds.
         guide: needed where `start_steps` is not 0: as many members as seeds.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
@@ -84,7 +84,7 @@ class Trainer:
             *self.dims,
             self.device,
             file=replay_file,
-            slots=replay_slots(config, memory),
+            slots=replay_slots(config.schedule, memory),
         )
         shown, *policies = (
             x and x.to(self.device) for x in (frozen_reward, pretrained_policy, guide)
@@ -251,7 +251,7 @@ class Trainer:
         batch_size = self.schedule.batch_size
         log_density = models.log_density(self.steps)
         if models.discriminator is not None:
-            updates = self.config.discriminator.discriminator_updates or steps
+            updates = self.config.discriminator.updates or steps
             self.metrics |= fit_discriminator(
                 models, self.demonstrations, replay, rng, updates, batch_size, log_density
             )
@@ -320,11 +320,11 @@ class Trainer:
         self.collector.env.close()
 
 
-def replay_slots(config: Config, memory: int) -> int:
+def replay_slots(schedule: Schedule, memory: int) -> int:
     """Return the places that a member's replay needs: `memory` steps more than it looks back on."""
     # A terminated episode may add a row of the absorbing state.
-    rows = 1 if config.absorbing == "none" else 2
-    return min(config.replay_size + rows * memory, rows * config.total_steps)
+    rows = 1 if schedule.absorbing == "none" else 2
+    return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)
 
 
 def _under(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -365,7 +365,7 @@ def complete(
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         warnings.warn(
-            f"nothing was trained: no episode was over between step {trainer.config.warmup_steps}, "
+            f"nothing was trained: no episode was over between step {trainer.schedule.warmup_steps}, "
             f"the end of the warm-up, and step {trainer.steps}; raise total_steps",
             stacklevel=2,
         )
@@ -392,7 +392,7 @@ def train(
         seeds: one for each member; the same seeds on the same machine give the same run.
         demonstrations: of the expert, where a reward is to be learned.
         frozen_reward: where `config.reward` is `frozen`.
-        pretrained_policy: to start from, where `config.carry` says so.
+        pretrained_policy: to start from, where `config.pretrained` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         execution: where and how it is computed.
         progress: whether to show a bar.

@@ -1,15 +1,16 @@
 """The networks of a run: learner and discriminator, and the reward between them."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import Config, LearnerConfig, SACConfig, TD3Config
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution, is_large, piecewise
-from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.discriminator import Discriminator, make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
@@ -19,10 +20,15 @@ from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
-LEARNERS = {"sac": SAC, "td3": TD3, "ppo": PPO}
-
 OfBatch = Callable[[Batch], Float[Tensor, "S B"]]
 """A number for each transition of a batch."""
+
+
+def make_learner(config: LearnerConfig, *given: Any) -> SAC | TD3 | PPO:
+    """Return the learner that its settings ask for."""
+    if isinstance(config, SACConfig):
+        return SAC(config, *given)
+    return TD3(config, *given) if isinstance(config, TD3Config) else PPO(config, *given)
 
 
 class Models:
@@ -51,22 +57,23 @@ class Models:
         pretrained_policy: Policy | None = None,
     ) -> None:
         self.config, self.rng, self.frozen_reward = config, rng, frozen_reward
-        self.learner = LEARNERS[config.learner.generator](
+        self.learner = make_learner(
             config.learner, *dims, rng, normaliser, config.schedule.absorbing
         )
         if pretrained_policy is not None:
             self._start_from(pretrained_policy.params)
         self.discriminator: Discriminator | None = None
         if config.learns_reward:
-            kind = Discriminator.of(config)
-            self.discriminator = kind(config.discriminator, *dims, rng, normaliser, horizon)
+            self.discriminator = make_discriminator(
+                config.discriminator, *dims, rng, normaliser, horizon, config.env_id
+            )
             self.update_discriminator = execution.accelerate(self.discriminator.update)
         self.update_learner = execution.accelerate(self.learner.update)
 
     def _start_from(self, params: Float[Tensor, "S P"]) -> None:
         """Put a policy's weights, or those of its primitives, into the actor."""
         own = self.learner.actor_params.detach()
-        if self.config.learner.carry == "primitives":
+        if self.config.pretrained == "primitives":
             gate = self.learner.actor.gate.num_params
             params = torch.cat([params[:, :-gate], own[:, -gate:]], 1)
         own.copy_(params)
@@ -97,20 +104,20 @@ class Models:
     def log_density(self, steps: int) -> OfBatch:
         """Return log π of a batch's actions, under the actor as it is now.
 
-        With `replay_density="mixture"` it is that of π mixed with the warm-up's uniform actions.
+        With `loss="mixture"` it is that of π mixed with the warm-up's uniform actions.
 
         Args:
             steps: environment steps so far, which decide the warm-up's share of replay.
         """
         params = self.learner.actor_params.detach().clone()
-        in_pieces = is_large(self.config) and params.device.type == "cpu"
+        in_pieces = is_large(self.config.learner) and params.device.type == "cpu"
 
         def density(batch: Batch) -> Float[Tensor, "S B"]:
             log_prob = self.learner.log_prob
             log_prob = piecewise(log_prob) if in_pieces else log_prob
             return log_prob(params, batch.obs, batch.pre_tanh)
 
-        if self.config.replay_density == "policy":
+        if not self.config.learns_reward or self.config.discriminator.loss != "mixture":
             return density
         schedule = self.config.schedule
         # Steps are counted as rows. Absorbing states add some, so that once replay forgets, the

@@ -6,6 +6,7 @@ density of an action that has been rounded to ±1 is lost, that of its `pre_tanh
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import singledispatch
 from os import PathLike
 from typing import Literal
 
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from offairl_lite.config import PPOConfig, SACConfig, TD3Config
 from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
 from offairl_lite.core.rng import Streams
 
@@ -119,16 +121,9 @@ class SquashedGaussian:
         params: Float[Tensor, "S P"],
         obs: Float[Tensor, "S B O"],
         pre_tanh: Float[Tensor, "S B A"],
-        density: Literal["exact", "released"] = "exact",
     ) -> Float[Tensor, "S B"]:
-        """Return log π(a|s) of the actions tanh(`pre_tanh`).
-
-        `released` is what the paper's code computes in its place: the Gaussian density at the
-        squashed action, without the change of variables.
-        """
+        """Return log π(a|s) of the actions tanh(`pre_tanh`)."""
         mean, log_std = self.distribution(params, obs)
-        if density == "released":
-            return gaussian_log_density(torch.tanh(pre_tanh), mean, log_std)
         return gaussian_log_density(pre_tanh, mean, log_std) - log_tanh_slope(pre_tanh).sum(-1)
 
     def mode(
@@ -142,18 +137,15 @@ def product_of_gaussians(
     mean: Float[Tensor, "... K A"],
     log_std: Float[Tensor, "... K A"],
     weight: Float[Tensor, "... K"],
-    composition: Literal["exact", "released"] = "exact",
 ) -> tuple[Float[Tensor, "... A"], Float[Tensor, "... A"]]:
     """Return μ and log σ of the density proportional to ∏ N(μ_i, σ_i²)^w_i.
 
     Precisions add up, each times its exponent: 1/σ² = Σ w_i/σ_i², μ = σ² Σ μ_i w_i/σ_i² (Peng et
-    al. 2019, equation 8, where the letter σ stands for variances). `released` is what the paper's
-    code computes in its place: standard deviations where variances belong.
+    al. 2019, equation 8, where the letter σ stands for variances).
     """
-    power = 2 if composition == "exact" else 1
-    precision = weight.unsqueeze(-1) * torch.exp(-power * log_std)
+    precision = weight.unsqueeze(-1) * torch.exp(-2 * log_std)
     total = precision.sum(-2)
-    return (precision * mean).sum(-2) / total, -total.log() / power
+    return (precision * mean).sum(-2) / total, -total.log() / 2
 
 
 @dataclass(frozen=True)
@@ -171,14 +163,12 @@ class MultiplicativeGaussian(SquashedGaussian):
         gating: how weights w > 0 are made of the gate's outputs. `softmax`: they add up to 1, and
             one primitive alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself;
             `softplus`: each without an upper bound.
-        composition: `released` for the paper's code, see `product_of_gaussians`.
     """
 
     primitives: int = 4
     primitive_hidden: tuple[int, ...] = (256,)
     gate_hidden: tuple[int, ...] = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
-    composition: Literal["exact", "released"] = "exact"
 
     @property
     def trunk(self) -> StackedMLP:
@@ -243,7 +233,7 @@ class MultiplicativeGaussian(SquashedGaussian):
         self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
     ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
         """Return μ and log σ of `pre_tanh`, σ no wider or narrower than a primitive's may be."""
-        mean, log_std = product_of_gaussians(*self.parts(params, obs), self.composition)
+        mean, log_std = product_of_gaussians(*self.parts(params, obs))
         return mean, log_std.clamp(*self.log_std_range)
 
 
@@ -293,10 +283,47 @@ class Deterministic:
         return torch.tanh(self.net(params, obs))
 
 
-Actor = SquashedGaussian | MultiplicativeGaussian | Deterministic
-_ACTORS = {
-    kind.__name__: kind for kind in (SquashedGaussian, MultiplicativeGaussian, Deterministic)
-}
+Actor = SquashedGaussian | Deterministic
+
+
+def _actors(base: type = object) -> dict[str, type[Actor]]:
+    """Return the types of actors by their names, those of ablations included."""
+    found = {}
+    for kind in (SquashedGaussian, Deterministic) if base is object else base.__subclasses__():
+        found |= {kind.__name__: kind, **_actors(kind)}
+    return found
+
+
+@singledispatch
+def make_actor(config: SACConfig, obs_dim: int, action_dim: int) -> Actor:
+    """Return the actor that a learner's settings ask for."""
+    raise TypeError(f"no actor for {type(config).__name__}")
+
+
+@make_actor.register
+def _(config: SACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
+    dims = obs_dim, action_dim
+    if config.primitives is None:
+        return SquashedGaussian(*dims, config.hidden, config.log_std_range)
+    return MultiplicativeGaussian(
+        *dims,
+        config.trunk_hidden,
+        config.log_std_range,
+        config.primitives,
+        config.primitive_hidden,
+        config.gate_hidden,
+        config.gating,
+    )
+
+
+@make_actor.register
+def _(config: PPOConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
+    return SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
+
+
+@make_actor.register
+def _(config: TD3Config, obs_dim: int, action_dim: int) -> Deterministic:
+    return Deterministic(obs_dim, action_dim, config.hidden)
 
 
 @dataclass(frozen=True)
@@ -357,7 +384,9 @@ class Policy:
         """
         tensors, about = load_weights(path, "policy")
         shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
-        actor = _ACTORS[shape.pop("name")](**shape)
+        if shape.get("composition") == "exact":
+            del shape["composition"]  # Files from before it was an actor of its own.
+        actor = _actors()[shape.pop("name")](**shape)
         params = tensors["params"].float()  # Shipped experts' may be in half precision.
         if params.shape[1:] != (actor.num_params,):
             raise ValueError(

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import PPOConfig
 from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, optimizer_states
-from offairl_lite.core.policies import SquashedGaussian
+from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
 
@@ -102,7 +102,7 @@ class PPO:
     """Actor and value network of `S` members.
 
     Args:
-        config: hyper-parameters; `temperature` is the weight of the entropy.
+        config: its settings.
         obs_dim: O.
         action_dim: A.
         rng: for the initial weights.
@@ -112,7 +112,7 @@ class PPO:
 
     def __init__(
         self,
-        config: Config,
+        config: PPOConfig,
         obs_dim: int,
         action_dim: int,
         rng: Streams,
@@ -120,7 +120,7 @@ class PPO:
         absorbing: str = "none",
     ) -> None:
         self.config, self.normaliser = config, normaliser
-        self.actor = SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
+        self.actor = make_actor(config, obs_dim, action_dim)
         self.critic = StackedMLP((obs_dim, *config.hidden, 1))
         self.actor_params = self.actor.init(rng)
         self.critic_params = self.critic.init(rng)
@@ -143,7 +143,7 @@ class PPO:
     ) -> Float[Tensor, "S B"]:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
         obs = self.normaliser(obs)
-        return self.actor.log_prob(actor_params, obs, pre_tanh, self.config.log_density)
+        return self.actor.log_prob(actor_params, obs, pre_tanh)
 
     @torch.no_grad()
     def rollout(self, block: Batch, reward: Float[Tensor, "S T"]) -> Rollout:

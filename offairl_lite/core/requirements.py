@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from gymnasium.vector import VectorEnv
 
 from offairl_lite.config import Config
-from offairl_lite.core.policies import Policy
+from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.sac import stochastic_actor
 from offairl_lite.demonstrations import Demonstrations
 
 
@@ -28,9 +27,9 @@ def require_inputs(
         raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
     if (config.reward == "frozen") != (frozen_reward is not None):
         raise ValueError(f"reward={config.reward!r} and a frozen reward go together")
-    carry, start_steps = config.learner.carry, config.schedule.start_steps
-    if (carry != "nothing") != (pretrained_policy is not None):
-        raise ValueError(f"carry={carry!r} and a policy to carry over go together")
+    pretrained, start_steps = config.pretrained, config.schedule.start_steps
+    if (pretrained != "nothing") != (pretrained_policy is not None):
+        raise ValueError(f"pretrained={pretrained!r} and a pretrained policy go together")
     if (start_steps > 0) != (guide is not None):
         raise ValueError(f"start_steps={start_steps} and a guide go together")
     populations = ("frozen rewards", frozen_reward), ("policies", pretrained_policy)
@@ -60,18 +59,19 @@ def require_fit(
     env_obs_dim = env.single_observation_space.shape[0]
     action_dim = env.single_action_space.shape[0]
     obs_dim = env_obs_dim + (config.schedule.absorbing != "none")
-    if config.reward_sees is not None and max(config.reward_sees) >= obs_dim:
+    reward_sees = config.discriminator.reward_sees if config.learns_reward else None
+    if reward_sees is not None and max(reward_sees) >= obs_dim:
         raise ValueError(
-            f"reward_sees is {config.reward_sees}; observations of {config.env_id} have "
+            f"reward_sees is {reward_sees}; observations of {config.env_id} have "
             f"{obs_dim} numbers, so expected are indices from 0 to {obs_dim - 1}"
         )
     if frozen_reward is not None:
         _require_reward_fits(config, frozen_reward, env_obs_dim, action_dim)
     if pretrained_policy is not None:
-        actor = stochastic_actor(config.learner, obs_dim, action_dim)
+        actor = make_actor(config.learner, obs_dim, action_dim)
         if pretrained_policy.actor != actor:
             raise ValueError(
-                f"the policy to carry over is a {pretrained_policy.actor}, and the actor of this "
+                f"the pretrained policy is a {pretrained_policy.actor}, and the actor of this "
                 f"run a {actor}: make the configurations the same"
             )
     if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != (obs_dim, action_dim):

@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import SACConfig
 from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbing
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
-from offairl_lite.core.policies import MultiplicativeGaussian, SquashedGaussian
+from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
 
@@ -68,28 +68,11 @@ def temperature_loss(
     return -(log_alpha.exp() * (mask * (log_prob.detach() + target_entropy))).mean(-1).sum()
 
 
-def stochastic_actor(config: Config, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    """Return the actor that a configuration asks for: one Gaussian, or a product of several."""
-    dims = obs_dim, action_dim
-    if config.primitives is None:
-        return SquashedGaussian(*dims, config.hidden, config.log_std_range)
-    return MultiplicativeGaussian(
-        *dims,
-        config.trunk_hidden,
-        config.log_std_range,
-        config.primitives,
-        config.primitive_hidden,
-        config.gate_hidden,
-        config.gating,
-        config.composition,
-    )
-
-
 class SAC:
     """Actor, twin critics, their targets and the temperature of `S` members.
 
     Args:
-        config: hyper-parameters.
+        config: its settings.
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
         rng: for the initial weights.
@@ -99,7 +82,7 @@ class SAC:
 
     def __init__(
         self,
-        config: Config,
+        config: SACConfig,
         obs_dim: int,
         action_dim: int,
         rng: Streams,
@@ -107,7 +90,7 @@ class SAC:
         absorbing: str = "none",
     ) -> None:
         self.config, self.normaliser, self.absorbing = config, normaliser, absorbing
-        self.actor = stochastic_actor(config, obs_dim, action_dim)
+        self.actor = make_actor(config, obs_dim, action_dim)
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
         self.actor_params = self.actor.init(rng)
         self.critic_params = self.critic.init(rng)
@@ -140,7 +123,7 @@ class SAC:
     ) -> Float[Tensor, "S B"]:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
         obs = self.normaliser(obs)
-        log_prob = self.actor.log_prob(actor_params, obs, pre_tanh, self.config.log_density)
+        log_prob = self.actor.log_prob(actor_params, obs, pre_tanh)
         return log_prob if self.absorbing == "none" else hold_still(obs, log_prob)[0]
 
     def sample(

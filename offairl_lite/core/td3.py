@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offairl_lite.config import Config
+from offairl_lite.config import TD3Config
 from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbing
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
-from offairl_lite.core.policies import Deterministic
+from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import bellman_target, critic_loss
@@ -32,7 +32,7 @@ class TD3:
     """Actor, twin critics and all their targets, for `S` members.
 
     Args:
-        config: hyper-parameters.
+        config: its settings.
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
         rng: for the initial weights.
@@ -42,7 +42,7 @@ class TD3:
 
     def __init__(
         self,
-        config: Config,
+        config: TD3Config,
         obs_dim: int,
         action_dim: int,
         rng: Streams,
@@ -50,7 +50,7 @@ class TD3:
         absorbing: str = "none",
     ) -> None:
         self.config, self.normaliser, self.absorbing = config, normaliser, absorbing
-        self.actor = Deterministic(obs_dim, action_dim, config.hidden)
+        self.actor = make_actor(config, obs_dim, action_dim)
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
         self.actor_params = self.actor.init(rng)
         self.critic_params = self.critic.init(rng)

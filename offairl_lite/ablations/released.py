@@ -1,0 +1,108 @@
+"""What the paper's released code optimises, where that is not the mathematics."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offairl_lite.ablations import penalties  # noqa: F401  (registers the released penalty)
+from offairl_lite.config import Config, SACConfig
+from offairl_lite.core.policies import (
+    MultiplicativeGaussian,
+    SquashedGaussian,
+    gaussian_log_density,
+    make_actor,
+)
+
+Variant = Literal["exact", "released"]
+
+
+@dataclass(frozen=True)
+class ReleasedSACConfig(SACConfig):
+    """SAC with the released density, or the released product of primitives, or both."""
+
+    kind = "sac-released"
+
+    log_density: Variant = "released"
+    """Density of a squashed action in the discriminator. `released`: the Gaussian density taken
+    at the squashed action, without the tanh's Jacobian."""
+
+    composition: Variant = "released"
+    """The product of Gaussians; `released`: with standard deviations in the place of variances."""
+
+
+@dataclass(frozen=True)
+class ReleasedGaussian(SquashedGaussian):
+    """The squashed Gaussian with the density of the released code."""
+
+    def log_prob(
+        self,
+        params: Float[Tensor, "S P"],
+        obs: Float[Tensor, "S B O"],
+        pre_tanh: Float[Tensor, "S B A"],
+    ) -> Float[Tensor, "S B"]:
+        """Return the Gaussian's log density at the squashed action, without the Jacobian."""
+        mean, log_std = self.distribution(params, obs)
+        return gaussian_log_density(torch.tanh(pre_tanh), mean, log_std)
+
+
+@dataclass(frozen=True)
+class ReleasedProduct(MultiplicativeGaussian):
+    """The product of primitives with standard deviations in the place of variances."""
+
+    def distribution(
+        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+        """Return μ and log σ of `pre_tanh`, as the released code has them."""
+        mean, log_std, weight = self.parts(params, obs)
+        precision = weight.unsqueeze(-1) * torch.exp(-log_std)
+        total = precision.sum(-2)
+        return (precision * mean).sum(-2) / total, (-total.log()).clamp(*self.log_std_range)
+
+
+@dataclass(frozen=True)
+class ReleasedDensityOfProduct(MultiplicativeGaussian):
+    """The exact product with the density of the released code."""
+
+    log_prob = ReleasedGaussian.log_prob
+
+
+@dataclass(frozen=True)
+class ReleasedPolicy(ReleasedProduct):
+    """The released product with the density of the released code."""
+
+    log_prob = ReleasedGaussian.log_prob
+
+
+@make_actor.register
+def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
+    plain = make_actor(SACConfig(**{k: getattr(config, k) for k in _SAC}), obs_dim, action_dim)
+    density = config.log_density == "released"
+    if config.primitives is None:
+        kind = ReleasedGaussian if density else SquashedGaussian
+    elif config.composition == "released":
+        kind = ReleasedPolicy if density else ReleasedProduct
+    else:
+        kind = ReleasedDensityOfProduct if density else MultiplicativeGaussian
+    return kind(**vars(plain))
+
+
+_SAC = tuple(SACConfig.__dataclass_fields__)
+
+RELEASE = Config.of(
+    learner="sac-released",
+    hidden=(256, 256),
+    temperature=None,
+    log_std_range=(-20.0, 2.0),
+    loss="released",
+    discriminator_discount=0.9,
+    reward_hidden=(256, 256),
+    shaping_hidden=(100, 100),
+    discriminator_activation="relu",
+    ablation="penalty-on-probability",
+    normalise=False,
+)
+"""What the released code optimises; its absorbing vectors and orthogonal initialisation are not
+reproduced."""
