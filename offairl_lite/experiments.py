@@ -4,9 +4,10 @@ So are the paper's figures: each of their curves is a run of one of these experi
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
+from offairl_lite import ablations  # noqa: F401  (registers their settings)
 from offairl_lite.config import CORRECTED, Config
 from offairl_lite.scale import Scale
 
@@ -43,11 +44,10 @@ SEEDS: Mapping[Scale, tuple[int, ...]] = {"demo": tuple(range(5)), "full": tuple
 # average: a particle that draws a fresh push every step hardly ever gets round the barrier. The
 # temperature is learned, for a policy twice as wide as usual, which falls back into the trap under
 # the barrier less often.
-MAZE_FULL = replace(CORRECTED, env_id=LEFT, temperature=None, target_entropy=-1.0, warmup_hold=10.0)
+MAZE_FULL = CORRECTED.change(env_id=LEFT, temperature=None, target_entropy=-1.0, warmup_hold=10.0)
 
 # Small networks and batches and faster targets: a minute or two for five seeds on a laptop.
-MAZE_DEMO = replace(
-    MAZE_FULL,
+MAZE_DEMO = MAZE_FULL.change(
     total_steps=6_000,
     warmup_steps=3_000,
     batch_size=64,
@@ -66,7 +66,12 @@ _ACTORS = {
     "8-softmax": {"primitives": 8},
     "4-sigmoid": {"primitives": 4, "gating": "sigmoid"},
     "8-sigmoid": {"primitives": 8, "gating": "sigmoid"},
-    "4-released": {"primitives": 4, "gating": "sigmoid", "composition": "released"},
+    "4-released": {
+        "learner": "sac-released",
+        "log_density": "exact",
+        "primitives": 4,
+        "gating": "sigmoid",
+    },
 }
 
 
@@ -75,17 +80,16 @@ _SMALL_MCP = {"trunk_hidden": (64,), "primitive_hidden": (64,), "gate_hidden": (
 
 def _both(demo: dict, full: dict, **common) -> Mapping[Scale, Config]:
     return {
-        "demo": replace(MAZE_DEMO, **common, **demo),
-        "full": replace(MAZE_FULL, **common, **full),
+        "demo": MAZE_DEMO.change(**common).change(**demo),
+        "full": MAZE_FULL.change(**common).change(**full),
     }
 
 
 # PPO, for the on-policy methods. Its policy is wide at first and remains so: the noise of its
 # actions is all that leads it out of the trap.
 _ON_POLICY = {
-    "generator": "ppo",
+    "learner": "ppo",
     "temperature": 1e-3,
-    "target_entropy": None,
     "log_std_range": (-2.0, 2.0),
     "update_every": 2_000,
     "replay_size": 2_000,
@@ -107,21 +111,21 @@ _SIGNS = {
     "termination": {"reward": "gail-termination"},
     "log-odds": {"reward": "dac"},
 }
-_DAC = {"td3": {"generator": "td3"}, "sac": {"generator": "sac"}}
+_DAC = {"td3": {"learner": "td3"}, "sac": {"learner": "sac"}}
 
 
 def _locomotion(env_id: str, demo: dict | None = None, **common) -> Mapping[Scale, Config]:
     # Members end their episodes at different times, so they train every 1,000 steps.
-    full = replace(CORRECTED, env_id=env_id, update_every=1_000)
-    full = replace(full, **common)
-    return {"demo": replace(full, **(_LOCOMOTION_DEMO | (demo or {}))), "full": full}
+    full = CORRECTED.change(env_id=env_id, update_every=1_000)
+    small = full.change(**_LOCOMOTION_DEMO)
+    return {"demo": small.change(**common).change(**(demo or {})), "full": full.change(**common)}
 
 
 # Demonstrations of one expert, at demo scale: the records there were made when there was one.
 _ONE_EXPERT: Mapping[Scale, int | None] = {"demo": 1, "full": None}
 
-# A logit whose log π has no tail, see `Config.replay_density`.
-_MIXTURE = {"replay_density": "mixture"}
+# A logit whose log π has no tail, see `DiscriminatorConfig.loss`.
+_MIXTURE = {"loss": "mixture"}
 
 # In less the ant learns nothing, and five seeds of it take hours.
 _ANT_DEMO = {"total_steps": 50_000, "eval_every": 5_000}
@@ -139,7 +143,7 @@ _IMITATORS = {
     "mcp-4": {"primitives": 4},
     "mcp-8": {"primitives": 8},
     "dac": {"reward": "dac"},
-    "dac-td3": {"reward": "dac", "generator": "td3"},
+    "dac-td3": {"reward": "dac", "learner": "td3"},
 }
 _SIDE_BY_SIDE = {
     f"{env_id.split('/')[-1].split('-')[0]}-{name}": {
@@ -160,7 +164,7 @@ _SIDE_BY_SIDE = {
 
 # What makes off-policy AIRL work on robots: its loss, the temperature, and how many random steps
 # come first. The released loss at 0.2 after the short warm-up is the recipe.
-_RELEASED = {"policy_in_logit": False}
+_RELEASED = {"loss": "released"}
 _LOSSES = {"exact": {}, "mixture": _MIXTURE, "released": _RELEASED, "dac": {"reward": "dac"}}
 _TEMPERATURES = {"fixed": 0.2, "learned": None, "one": 1.0}
 _WARMUPS = {"short": 1_000, "long": 10_000}
@@ -188,7 +192,7 @@ _WITH_THE_RECIPE = {
     for name, changes in (
         ("airl", _RELEASED),
         ("dac", _LOSSES["dac"]),
-        ("dac-td3", {**_LOSSES["dac"], "generator": "td3"}),
+        ("dac-td3", {**_LOSSES["dac"], "learner": "td3"}),
     )
 }
 
@@ -199,7 +203,7 @@ _EXPERT = {"reward": "environment", "reward_scale": 100.0}
 
 # The paper's three candidates for an expert, on its eight tasks.
 _LEARNERS = {
-    "td3": {"generator": "td3"},
+    "td3": {"learner": "td3"},
     "sac-fixed": {"temperature": 0.2},
     "sac-learned": {"temperature": None},
 }
@@ -211,16 +215,18 @@ _LOCOMOTION = (
     ANT,
     DISABLED,
 )
-_ON_THE_MAZE = {"update_every": None, "target_entropy": -1.0, "warmup_hold": 10.0, **_EXPERT}
+_ON_THE_MAZE = {"update_every": None, "warmup_hold": 10.0, **_EXPERT}
 
 
 def _expert_variants() -> dict[str, dict[str, Any]]:
     tasks = {task: {} for task in _LOCOMOTION} | {LEFT: _ON_THE_MAZE, RIGHT: _ON_THE_MAZE}
-    return {
-        f"{task.split('/')[-1].split('-')[0]}-{name}": {"env_id": task, **changes, **learner}
-        for task, changes in tasks.items()
-        for name, learner in _LEARNERS.items()
-    }
+    variants = {}
+    for task, changes in tasks.items():
+        for name, learner in _LEARNERS.items():
+            wide = {"target_entropy": -1.0} if changes and name != "td3" else {}
+            short = task.split("/")[-1].split("-")[0]
+            variants[f"{short}-{name}"] = {"env_id": task, **changes, **wide, **learner}
+    return variants
 
 
 def _retraining_variants(alone: dict, start_steps: int) -> dict[str, dict[str, Any]]:
@@ -229,13 +235,13 @@ def _retraining_variants(alone: dict, start_steps: int) -> dict[str, dict[str, A
     What begins with a policy has one episode of random actions, and no other help to explore:
     `alone` says so. A guide acts for at most `start_steps`.
     """
-    kept: dict[str, dict[str, Any]] = {"scratch": {}, "policy": {"carry": "policy"}}
+    kept: dict[str, dict[str, Any]] = {"scratch": {}, "policy": {"pretrained": "policy"}}
     for k in (4, 8):
-        actor = {"primitives": k, "carry": "primitives"}
+        actor = {"primitives": k, "pretrained": "primitives"}
         kept |= {f"{k}-gate": {**actor, "fixed_primitives": True}, f"{k}-both": actor}
     variants = {}
     for name, changes in kept.items():
-        variants[name] = {**changes, **(alone if "carry" in changes else {})}
+        variants[name] = {**changes, **(alone if "pretrained" in changes else {})}
         for guide in ("own", "expert"):
             variants[f"{name}-{guide}-starts"] = {**variants[name], "start_steps": start_steps}
     return variants
@@ -247,7 +253,7 @@ def _maze_retraining_variants() -> dict[str, dict[str, Any]]:
     helped = {
         f"{name}-helped": changes
         for name, changes in _retraining_variants({}, 50).items()
-        if changes.get("carry") == "primitives" and "start_steps" not in changes
+        if changes.get("pretrained") == "primitives" and "start_steps" not in changes
     }
     return _retraining_variants(alone, 50) | helped
 
@@ -296,10 +302,10 @@ _ENTROPY_ONCE = {
 _PENALTIES = {
     "none": {"gradient_penalty": 0.0},
     "logit": {},
-    "one-sided": {"penalty_sides": "one"},
-    "probability": {"penalty_on": "probability"},
-    "spectral": {"gradient_penalty": 0.0, "spectral_norm": True},
-    "bottleneck": {"gradient_penalty": 0.0, "bottleneck": 0.5, "bottleneck_rate": 1e-3},
+    "one-sided": {"ablation": "one-sided"},
+    "probability": {"ablation": "penalty-on-probability"},
+    "spectral": {"gradient_penalty": 0.0, "ablation": "spectral-norm"},
+    "bottleneck": {"gradient_penalty": 0.0, "ablation": "bottleneck", "bottleneck_rate": 1e-3},
 }
 
 
@@ -312,8 +318,8 @@ def _reward_variants() -> dict[str, dict[str, Any]]:
     begins = {
         "scratch": {},
         "scratch-alone": {"warmup_hold": 1.0},
-        "policy": {"carry": "policy"},
-        "policy-alone": {"carry": "policy", "warmup_steps": 100, "warmup_hold": 1.0},
+        "policy": {"pretrained": "policy"},
+        "policy-alone": {"pretrained": "policy", "warmup_steps": 100, "warmup_hold": 1.0},
     }
     tasks = {"": {}, "back-": {"env_id": LEFT}, "true-": _EXPERT}
     return {
@@ -327,8 +333,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": Experiment(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
         {
-            "demo": replace(
-                CORRECTED,
+            "demo": CORRECTED.change(
                 env_id="HalfCheetah-v5",
                 reward="environment",
                 total_steps=6_000,
@@ -339,8 +344,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
                 eval_every=2_000,
                 eval_episodes=2,
             ),
-            "full": replace(
-                CORRECTED, env_id="HalfCheetah-v5", reward="environment", update_every=1_000
+            "full": CORRECTED.change(
+                env_id="HalfCheetah-v5", reward="environment", update_every=1_000
             ),
         },
         SEEDS,
@@ -407,8 +412,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "hopper-absorbing": Experiment(
         "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
         {
-            "demo": replace(
-                _locomotion("Hopper-v5", reward="dac")["demo"],
+            "demo": _locomotion("Hopper-v5", reward="dac")["demo"].change(
                 total_steps=12_000,
                 warmup_steps=2_000,
                 update_every=250,
@@ -527,21 +531,19 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         },
     ),
     "imitate": Experiment(
-        "Off-policy AIRL on a task of your own: give --env-id and --dataset",
+        "Off-policy AIRL by the recipe, on a task of your own: give --env-id and --dataset",
         {
-            "demo": replace(
-                CORRECTED,
+            "demo": CORRECTED.change(
                 total_steps=20_000,
                 warmup_steps=1_000,
                 update_every=200,
                 hidden=(64, 64),
                 reward_hidden=(64, 64),
                 shaping_hidden=(64, 64),
-                temperature=None,
                 eval_every=2_000,
-                **_MIXTURE,
+                **_RELEASED,
             ),
-            "full": replace(CORRECTED, update_every=1_000, temperature=None, **_MIXTURE),
+            "full": CORRECTED.change(warmup_steps=1_000, update_every=1_000, **_RELEASED),
         },
         SEEDS,
     ),
@@ -572,7 +574,7 @@ def configure(run: str, scale: Scale) -> Config:
     if variant not in variants:
         there = ", ".join(f"{name}/{v}" if v else name for v in variants)
         raise ValueError(f"no run {run!r}; there are: {there}")
-    return replace(experiment.configs[scale], **variants[variant])
+    return experiment.configs[scale].change(**variants[variant])
 
 
 # What is not recorded where the command line would put it. What two experiments have in common is
