@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from offairl_lite.config import Config
-from offairl_lite.core.discriminator import Reward
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.policies import Policy
 
 

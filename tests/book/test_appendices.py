@@ -16,7 +16,7 @@ import offairl_lite
 from offairl_lite.config import CORRECTED, RELEASE, RewardName, differences
 
 ROOT = Path(__file__).parents[2]
-EMPTY = {f"offairl_lite.{package}" for package in ("core", "analysis", "runs")}
+EMPTY = {f"offairl_lite.{package}" for package in ("core", "ablations", "analysis", "runs")}
 MODULES = [
     module.name
     for module in pkgutil.walk_packages(offairl_lite.__path__, "offairl_lite.")

@@ -1,0 +1,169 @@
+"""A block of training: its minibatches, log π, and the reward that the learner is given."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+
+from offairl_lite.core import absorbing
+from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.loop import Trainer, train
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Streams
+from offairl_lite.core.sac import SAC
+from offairl_lite.core.td3 import TD3
+
+HOPPER = "Hopper-v5"
+ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50}
+run = partial(train, progress=False)
+
+
+# Minibatches.
+
+
+def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, record):
+    updates, judged = record(SAC, "update"), record(Discriminator, "update")
+    run(replace(tiny, update_every=51, warmup_steps=51, total_steps=102), (0,), maze)
+    assert len(updates) == len(judged) == 102
+    assert {batch.obs.shape for batch, *_ in updates} == {(1, 8, 3)}
+
+
+@pytest.mark.parametrize(("generator", "kind"), [("sac", SAC), ("td3", TD3)])
+def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, generator, kind):
+    updates = record(kind, "update")
+    run(replace(tiny, reward="environment", generator=generator, update_every=31), (0,))
+    assert [delayed for *_, delayed in updates] == [False, True] * (6 * 31 // 2)
+
+
+def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer(
+    tiny, maze, record, until
+):
+    seen = record(Discriminator, "update")
+    trainer = Trainer(replace(tiny, **ON_POLICY), (0,), maze)
+    until(trainer, lambda t: seen)
+    block = {tuple(row) for row in trainer.collector.replay.last(50).obs[0].tolist()}
+    assert {tuple(row) for _, policy, *_ in seen for row in policy.obs[0].tolist()} <= block
+
+
+def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
+    seen = record(Discriminator, "update")
+    blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200, "total_steps": 300}
+    config = replace(tiny, **blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
+    trainer = Trainer(config, (0, 1), maze)
+    until(trainer, lambda t: seen)
+    assert len(seen) == 3
+    shown = maze.transitions.obs.view(-1, 100, 3)
+    last = trainer.collector.replay.last(200).obs
+    for expert, policy, *_ in seen:
+        assert expert.obs.shape == policy.obs.shape == (2, 200, 3)
+        for member in (0, 1):
+            for episode in expert.obs[member].view(2, 100, 3):
+                assert any(torch.equal(episode, whole) for whole in shown)
+            for episode in policy.obs[member].view(2, 100, 3):
+                assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
+
+
+# The density of actions.
+
+
+@pytest.mark.parametrize(("size", "share"), [(1000, 1 / 2), (150, 1 / 3), (100, 0.0)])
+def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
+    tiny, maze, monkeypatch, record, size, share
+):
+    """π is made to exclude every action, so what is left is the uniform part."""
+
+    def log_prob(self, actor_params, obs, pre_tanh):
+        return torch.full(obs.shape[:-1], -1e4)
+
+    monkeypatch.setattr(SAC, "log_prob", log_prob)
+    seen, rewarded = record(Discriminator, "update"), record(Discriminator, "reward")
+    config = replace(tiny, reward="implementation-1", replay_density="mixture", replay_size=size)
+    run(config, (0,), maze)
+    for densities in [(args[2], args[3]) for args in seen], [(args[1],) for args in rewarded]:
+        for given, w in (densities[0], 1.0), (densities[-1], share):
+            expected = math.log(w / 4) if w else -1e4
+            torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
+
+
+def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
+    tiny, random_demonstrations, record
+):
+    seen = record(Discriminator, "update")
+    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    config = replace(config, replay_density="mixture")
+    run(config, (0,), random_demonstrations(HOPPER))
+    there = torch.cat([absorbing.is_absorbing(policy.obs) for _, policy, *_ in seen], 1)
+    density = torch.cat([log_prob for _, _, _, log_prob, _ in seen], 1)
+    assert there.any()
+    assert (density[there] == 0).all()
+    assert density[~there].min() > math.log(0.5 / 2**3) - 1e-4
+
+
+def test_log_prob_is_that_of_before_the_block(tiny, maze, record, until):
+    seen = record(SAC, "log_prob")
+    trainer = Trainer(replace(tiny, reward="implementation-1"), (0,), maze)
+    until(trainer, lambda t: t.trained == 100)
+    # In two chunks: of both sides for the discriminator, and once for the reward.
+    assert len(seen) == 2 * 2 + 2
+    weights = [params for params, *_ in seen]
+    assert all(torch.equal(params, weights[0]) for params in weights)
+    assert not torch.equal(weights[0], trainer.models.learner.actor_params)
+
+
+# The reward.
+
+
+def test_a_reward_is_scaled(tiny, record):
+    seen = record(SAC, "update")
+    run(replace(tiny, reward="environment", reward_scale=3.0), (0,))
+    assert seen
+    assert all(torch.equal(reward, 3 * batch.reward) for batch, reward, *_ in seen)
+
+
+def test_a_centred_reward_has_no_constant(tiny, frozen_reward, until):
+    """With another constant in the reward it is the same run, but for rounding."""
+    config, reward = replace(tiny, reward="frozen", centre_reward=True), frozen_reward(1)
+    shifted = replace(reward, params=reward.params.clone())
+    shifted.net.layers(shifted.params)[-1][0].add_(3)
+    obs = Streams((0,)).normal(5, 3)
+    torch.testing.assert_close(shifted(obs), reward(obs) + 3)
+
+    def weights(reward, **changes):
+        trainer = Trainer(replace(config, **changes), (0,), None, reward)
+        until(trainer, lambda t: t.trained == 100)
+        return trainer.models.learner.critic_params.detach()
+
+    torch.testing.assert_close(weights(shifted), weights(reward), rtol=0, atol=1e-4)
+    plain = [weights(r, centre_reward=False) for r in (shifted, reward)]
+    assert (plain[0] - plain[1]).abs().max() > 0.01
+
+
+def test_the_absorbing_state_s_reward_is_centred_with_the_others(
+    tiny, random_demonstrations, record, until
+):
+    updates, found = record(SAC, "update"), []
+    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="analytic")
+    for centred in (False, True):
+        updates.clear()
+        trainer = Trainer(
+            replace(config, centre_reward=centred), (0, 1), random_demonstrations(HOPPER)
+        )
+        until(trainer, lambda t: t.trained == 50)
+        found.append((torch.cat([reward for _, reward, *_ in updates], 1), updates[0][2]))
+    (plain, there), (centred, centred_there) = found
+    torch.testing.assert_close(centred, plain - plain.mean(1, keepdim=True))
+    torch.testing.assert_close(centred_there, there - plain.mean(1, keepdim=True))
+
+
+@pytest.mark.parametrize("reward", ["dac", "implementation-1"])
+def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, record, until, reward):
+    updates = record(SAC, "update")
+    changes = {"env_id": HOPPER, "update_every": 50, "absorbing": "analytic"}
+    config = replace(tiny, **changes, reward=reward, reward_scale=2.0)
+    trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
+    until(trainer, lambda t: t.trained == 50)
+    there, zero = absorbing.absorbing_state(torch.empty(2, 1, 12)), torch.zeros(2, 1)
+    own = Batch(there, torch.zeros(2, 1, 3), there, zero, zero)
+    torch.testing.assert_close(updates[-1][2], 2 * trainer.models.discriminator.reward(own, zero))
