@@ -391,29 +391,34 @@ def compare(
     runs = [run for run in asked if isinstance(run, str)]
     size = largest(*runs, sizes=sizes)
     found = [recorded(run, size) for run in runs]
-    step = max(set.intersection(*(set(each.steps) for each in found)))
+    enough = large_enough(found, size)
+    common = set.intersection(*(set(each.steps) for each in found))
+    steps = [int(max(common))] * len(found)
     if comparison.question in RETURNS:
-        ends = [_at(each, step) for each in found]
+        if enough:
+            steps = [int(each.steps[-1]) for each in found]
+        ends = list(map(_at, found, steps))
         effect, chance, told = _of_returns(comparison, ends)
     else:
         # The seeds that all of the runs have are pairs.
         kept = [np.array(each.seeds)[whole(each)] for each in found]
         pairs = sorted(set.intersection(*map(set, kept)))
-        ends = [_at(each, step, pairs) for each in found]
+        ends = [_at(each, steps[0], pairs) for each in found]
         before = _at(found[0], found[0].steps[0], pairs)
         effect, chance, told = _of_successes(
             comparison.question, [end > BAR for end in ends], before > BAR
         )
     seeds = min(map(len, ends))
     away = sum(map(runaways, found))
+    length = " and ".join(f"{step:,}" for step in dict.fromkeys(steps))
     return Found(
         comparison.what,
-        f"{networks(runs[0], size)}, {seeds} seeds, {step:,} steps",
+        f"{networks(runs[0], size)}, {seeds} seeds, {length} steps",
         seeds,
         effect,
         chance,
         told,
-        verdict(told, large_enough(found, size), away > 0),
+        verdict(told, enough, away > 0),
         away,
     )
 
