@@ -205,7 +205,10 @@ class Comparison(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A claim, what decides it, and what is compared beside it."""
+    """A claim, what decides it, and what is compared beside it.
+
+    What stands beside it need not be recorded.
+    """
 
     text: str
     comparisons: tuple[Comparison, ...]
@@ -259,6 +262,15 @@ CLAIMS = {
                 "maze-imitation",
                 "maze-dac/sac",
             ),
+            *(
+                Comparison(
+                    f"{task}: AIRL by the recipe above DAC",
+                    "better",
+                    f"recipe/{task}-airl",
+                    f"recipe/{task}-dac",
+                )
+                for task in ("Hopper", "Walker2d", "HalfCheetah")
+            ),
         ),
     ),
     3: Claim(
@@ -281,10 +293,14 @@ CLAIMS = {
         "The transfer to PointMazeRight works, with high variance.",
         (
             Comparison(
-                "more arrive than before", "arrives", f"{MAZE}policy"
+                "policy kept: more arrive than before retraining",
+                "arrives",
+                f"{MAZE}policy",
             ),
             Comparison(
-                "some arrive, some do not", "varies", f"{MAZE}policy"
+                "policy kept: some arrive, some do not",
+                "varies",
+                f"{MAZE}policy",
             ),
         ),
         (
@@ -464,6 +480,18 @@ def _of_successes(
     )
 
 
+def beside(n: int) -> list[Found]:
+    """Return what is found beside a claim, as far as it is recorded."""
+    return [
+        compare(each)
+        for each in CLAIMS[n].instead
+        if any(
+            recorded(each.one, size) and recorded(each.other, size)
+            for size in SIZES
+        )
+    ]
+
+
 def decided() -> tuple[dict[int, list[Found]], dict[int, str]]:
     """Return what is found of each claim, and the verdict on each."""
     found = {
@@ -524,7 +552,7 @@ def evidence(found: list[Found]) -> str:
         counts = [
             f"{words.count(word)} {word}" for word in dict.fromkeys(words)
         ]
-        return f"of {len(words)} small comparisons " + ", ".join(counts)
+        return "seen so far: " + ", ".join(counts)
     seeds = found[0].seeds
     if len({each.effect for each in found}) == 1 == len(found[0].effect):
         text = f"{rate(found[0].effect[0], seeds)} seeds arrive"

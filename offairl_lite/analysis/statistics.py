@@ -62,7 +62,7 @@ def _percentiles(
     def lowest(values):
         return np.quantile(values, tail, axis=0, method="inverted_cdf", weights=probability)
 
-    return lowest(drawn), -lowest(-drawn)
+    return lowest(drawn)[()], -lowest(-drawn)[()]
 
 
 def bootstrap_interval(
