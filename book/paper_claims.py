@@ -559,19 +559,18 @@ def evidence(found: list[Found]) -> str:
         away = [str(each.runaways) for each in found]
         if any(each.runaways for each in found):
             text += f"; temperature above {RUNAWAY:,} in "
-            text += " and ".join(away)
+            text += " and ".join(away) + " seeds"
         return text
+    mark = " against " if len(found) == 1 else " : "
     pairs = [
-        " against ".join(
-            f"{share * seeds:.0f}" for share, *_ in each.effect
-        )
+        mark.join(f"{share * seeds:.0f}" for share, *_ in each.effect)
         for each in found
     ]
     text = ", ".join(pairs) + f" of {seeds} seeds"
     if len(found) == 1:
         return f"{text}, {cells(found[0])[1]}"
     claimed = sum(each.seen == "as claimed" for each in found)
-    return f"{text}: as claimed in {claimed} of {len(found)}"
+    return f"{text}; as claimed in {claimed} of {len(found)} cases"
 
 
 def missing(n: int) -> list[str]:
@@ -609,7 +608,7 @@ def needed(n: int, word: str) -> str:
     wanted = []
     if runs := missing(n):
         days = f"{hours() * len(runs) / 24:.0f} days"
-        wanted.append(f"{len(runs)} runs, about {days} on one core")
+        wanted.append(f"{len(runs)} runs, about {days}")
     if runs := out_of_bounds(n):
         took = sum(
             records.read_json(RECORDS / record(run, "full") / "run.json")[
@@ -619,7 +618,7 @@ def needed(n: int, word: str) -> str:
         )
         wanted.append(
             f"{len(runs)} runs with a bounded temperature, about "
-            f"{took / 3600:.0f} hours on one core"
+            f"{took / 3600:.0f} hours"
         )
     if word in (UNDECIDED, IN_PART):
         wanted.append("more seeds")
