@@ -5,22 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import paper_claims
-from paper_claims import (
-    BAR,
-    CLAIMS,
+import paper_verdicts
+from paper_claims import BAR, CLAIMS, RETURNS, SUCCESSES, Comparison
+from paper_verdicts import (
     CONFIRMED,
     CONFOUNDED,
     CONTRADICTED,
     IN_PART,
-    RETURNS,
     SEEDS,
     STEPS,
-    SUCCESSES,
     UNDECIDED,
     UNTESTED,
     WORDS,
-    Comparison,
     at_plateau,
     compare,
     joined,
@@ -105,11 +101,11 @@ def ending(*above, first=0, **kwargs):
 @pytest.fixture
 def told(monkeypatch):
     """What is told of a question about records that are given."""
-    monkeypatch.setattr(paper_claims, "networks", lambda run, size: "paper-size networks")
+    monkeypatch.setattr(paper_verdicts, "networks", lambda run, size: "paper-size networks")
 
     def ask(question, *found):
         runs = {f"run/{i}": each for i, each in enumerate(found)}
-        monkeypatch.setattr(paper_claims, "recorded", lambda run, size: runs[run])
+        monkeypatch.setattr(paper_verdicts, "recorded", lambda run, size: runs[run])
         other = "run/1" if len(found) > 1 else None
         answer = compare(Comparison("", question, "run/0", other), sizes=("full",))
         return answer.seen, answer.verdict
