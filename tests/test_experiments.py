@@ -8,7 +8,7 @@ import pytest
 
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED, PAPER, RELEASE, differences
-from offairl_lite.experiments import EXPERIMENTS, FIGURES, configure, find, record
+from offairl_lite.experiments import EXPERIMENTS, configure, find
 
 SCALES = ("demo", "full")
 
@@ -306,25 +306,3 @@ def test_robots_are_shown_by_one_expert_at_demo_scale_and_by_all_at_full_scale(n
     robot = "Point" not in experiment.configs["demo"].env_id
     imitates = experiment.configs["demo"].learns_reward
     assert experiment.experts == {"demo": 1 if robot and imitates else None, "full": None}
-
-
-def test_a_record_is_where_the_command_line_puts_it_but_for_the_experts():
-    assert record("maze-imitation", "full") == "maze-imitation-full"
-    assert record("maze-dac/td3", "demo") == "maze-dac-demo/td3"
-    assert record("experts/Hopper-td3", "full") == "experts/Hopper-td3"
-    assert record("experts/Hopper-td3", "demo") == "experts-demo/Hopper-td3"
-    assert record("experts/PointMazeLeft-sac-learned", "demo") == "maze-expert-left-demo"
-
-
-def test_every_curve_of_the_paper_is_a_run():
-    panels = [panel for figure in FIGURES.values() for panel in figure.items()]
-    for title, curves in panels:
-        tasks = {configure(run, scale).env_id for run in curves.values() for scale in SCALES}
-        named = {task.split("/")[-1].split("-")[0] for task in tasks}
-        assert named in ({title.split(",")[0]}, {"PointMazeRight"}) or named == {
-            "DisabledAnt",
-            "DisabledAntReleased",
-        }
-        assert len(set(curves.values())) == len(curves)
-    # Besides the environments (4) and the actor (1), the paper has 30 panels; two are added.
-    assert len(panels) == 30 + 2

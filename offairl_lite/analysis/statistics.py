@@ -1,10 +1,22 @@
-"""Statistics of a few runs: interquartile means and bootstrap intervals (Agarwal et al. 2021)."""
+"""Statistics of a few runs: of their returns, and of which of them succeed.
 
-from collections.abc import Callable
+Returns are summed up by interquartile means with bootstrap intervals (Agarwal et al. 2021),
+successes by proportions with Wilson's interval and by exact tests of 2 × 2 tables.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import combinations_with_replacement
 
 import numpy as np
 import scipy.stats
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
+
+RESAMPLES = 10_000
+"""How many resamples a bootstrap draws where there are too many to take them all."""
+
+ENUMERATED = 20_000
+"""Up to how many distinct resamples a bootstrap takes them all: eight seeds, or five a side."""
 
 
 def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
@@ -12,36 +24,82 @@ def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
     return scipy.stats.trim_mean(values, 0.25, axis=0)
 
 
+def interquartile_range(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
+    """Return how far the middle half of the first axis reaches."""
+    return scipy.stats.iqr(values, axis=0)
+
+
+def _distinct(n: int) -> int:
+    """Return how many resamples of n values differ in more than their order."""
+    return math.comb(2 * n - 1, n)
+
+
+def _every_resample(n: int) -> tuple[Int[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
+    """Return the distinct resamples of n values, as indices, and the probability of each."""
+    drawn = np.array([*combinations_with_replacement(range(n), n)])
+    counts = (drawn[..., None] == np.arange(n)).sum(1)
+    ways = [math.factorial(n) / math.prod(map(math.factorial, row)) for row in counts.tolist()]
+    return drawn, np.array(ways) / n**n
+
+
+def _some_resamples(*sizes: int) -> Iterator[Int[np.ndarray, "R n"]]:
+    """Yield random resamples, as indices, of samples of several sizes."""
+    rng = np.random.default_rng(0)
+    return (rng.integers(n, size=(RESAMPLES, n)) for n in sizes)
+
+
 def _percentiles(
-    samples: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], confidence: float
+    drawn: Float[np.ndarray, "R ..."],
+    confidence: float,
+    probability: Float[np.ndarray, "R"] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of a statistic over the samples' first axes."""
-    interval = scipy.stats.bootstrap(
-        samples,
-        statistic,
-        confidence_level=confidence,
-        n_resamples=2_000,
-        axis=0,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return interval.low, interval.high
+    """Return the ends of the middle of a distribution; None: all values are equally likely.
+
+    At most half of what the confidence leaves over lies beyond each end.
+    """
+    tail = (1 - confidence) / 2
+
+    def lowest(values):
+        return np.quantile(values, tail, axis=0, method="inverted_cdf", weights=probability)
+
+    return lowest(drawn)[()], -lowest(-drawn)[()]
 
 
 def bootstrap_interval(
     values: Float[np.ndarray, "N ..."], confidence: float = 0.95
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
-    if len(values) < 2:
+    """Return the percentile bootstrap interval of the interquartile mean over the first axis.
+
+    All resamples of up to eight values are taken, 10,000 random ones of more.
+    """
+    n = len(values)
+    if n < 2:
         return values[0], values[0]
-    return _percentiles(
-        (values,), lambda x, axis: scipy.stats.trim_mean(x, 0.25, axis=axis), confidence
-    )
+    if _distinct(n) > ENUMERATED:
+        (drawn,), probability = _some_resamples(n), None
+    else:
+        drawn, probability = _every_resample(n)
+    return _percentiles(interquartile_mean(values[drawn.T]), confidence, probability)
 
 
-def interquartile_range(values: Float[np.ndarray, "N ..."]) -> np.ndarray:
-    """Return how far the middle half of the first axis reaches."""
-    return scipy.stats.iqr(values, axis=0)
+def _two_sample_percentiles(
+    n: int, m: int, found: Callable[..., np.ndarray], confidence: float
+) -> tuple[float, float]:
+    """Return the percentile bootstrap interval of a statistic of two independent samples.
+
+    Args:
+        n: the first sample's size.
+        m: the second sample's size.
+        found: the statistic of resamples of each, given as indices, (R, n) and (Q, m), and whether
+            each of the first is to be taken with each of the second, (R, Q), or with its own, (R,).
+        confidence: of the interval.
+    """
+    if _distinct(n) * _distinct(m) > ENUMERATED:
+        low, high = _percentiles(found(*_some_resamples(n, m), False), confidence)
+    else:
+        (x, p), (y, q) = _every_resample(n), _every_resample(m)
+        low, high = _percentiles(found(x, y, True).ravel(), confidence, np.outer(p, q).ravel())
+    return float(low), float(high)
 
 
 def difference(
@@ -62,15 +120,15 @@ def difference(
         The difference, and the ends of its percentile bootstrap interval over the seeds of both; a
         single seed tells nothing of others, and leaves the interval without ends.
     """
-
-    def above(x, y, axis=0):
-        return statistic(np.moveaxis(x, axis, 0)) - statistic(np.moveaxis(y, axis, 0))
-
-    found = float(above(one, other))
+    found = float(statistic(one) - statistic(other))
     if min(len(one), len(other)) < 2:
         return found, -np.inf, np.inf
-    low, high = _percentiles((one, other), above, confidence)
-    return found, float(low), float(high)
+
+    def above(x, y, crossed):
+        first, second = statistic(one[x.T]), statistic(other[y.T])
+        return np.subtract.outer(first, second) if crossed else first - second
+
+    return found, *_two_sample_percentiles(len(one), len(other), above, confidence)
 
 
 def probability_of_improvement(
@@ -87,14 +145,67 @@ def probability_of_improvement(
         probability goes from 0.5 to 0.92; in 90 to 62 with five, and in 82 to 36 with three. Of a
         single run nothing is known: from 0 to 1.
     """
-    found = float(np.heaviside(np.subtract.outer(one, other), 0.5).mean())
-    if min(len(one), len(other)) < 2:
-        return found, 0.0, 1.0
+    n, m = len(one), len(other)
+    won = np.heaviside(np.subtract.outer(one, other), 0.5)
+    if min(n, m) < 2:
+        return float(won.mean()), 0.0, 1.0
 
-    def share(x, y, axis=-1):
-        # The bootstrap moves the samples to the last axis, with resamples before it.
-        x, y = np.expand_dims(x, -1), np.expand_dims(y, -2)
-        return np.heaviside(x - y, 0.5).mean((-2, -1))
+    def share(x, y, crossed):
+        # How often each seed was drawn says which pairs there are.
+        x, y = ((drawn[..., None] == np.arange(drawn.shape[1])).sum(1) for drawn in (x, y))
+        pairs = x @ won @ y.T if crossed else (x @ won * y).sum(1)
+        return pairs / (n * m)
 
-    low, high = _percentiles((one, other), share, confidence)
-    return found, float(low), float(high)
+    return float(won.mean()), *_two_sample_percentiles(n, m, share, confidence)
+
+
+def success_rate(
+    succeeded: Bool[np.ndarray, "N"], confidence: float = 0.95
+) -> tuple[float, float, float]:
+    """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927).
+
+    Unlike a bootstrap's, it has a width also where all seeds succeed or none does.
+
+    Raises:
+        ValueError: there are no seeds.
+    """
+    if not len(succeeded):
+        raise ValueError("no seeds were given, and a success rate needs at least one")
+    test = scipy.stats.binomtest(int(np.sum(succeeded)), len(succeeded))
+    interval = test.proportion_ci(confidence, method="wilson")
+    return float(np.mean(succeeded)), float(interval.low), float(interval.high)
+
+
+def compare_successes(
+    one: Bool[np.ndarray, "N"], other: Bool[np.ndarray, "M"], paired: bool
+) -> tuple[float, float]:
+    """Return by how much the success rate of some seeds is above that of others, and a p-value.
+
+    Args:
+        one: which of N seeds succeed.
+        other: which of M seeds succeed.
+        paired: whether the i-th seed of both has something in common, such as its reward. Then the
+            test is McNemar's exact one, which counts the pairs of which only one succeeds; if not,
+            it is Fisher's exact one.
+
+    Returns:
+        The difference of the success rates, and the two-sided p-value of no difference.
+
+    Raises:
+        ValueError: there are no seeds, or pairs are asked for and the lengths differ.
+    """
+    one, other = np.asarray(one, bool), np.asarray(other, bool)
+    if not len(one) or not len(other):
+        raise ValueError(f"found {len(one)} and {len(other)} seeds; both need at least one")
+    above = float(one.mean() - other.mean())
+    if not paired:
+        table = [[one.sum(), (~one).sum()], [other.sum(), (~other).sum()]]
+        return above, float(scipy.stats.fisher_exact(table).pvalue)
+    if len(one) != len(other):
+        raise ValueError(
+            f"found {len(one)} and {len(other)} seeds, expected as many: pair those that both have"
+        )
+    only_one, only_other = int((one & ~other).sum()), int((other & ~one).sum())
+    if not only_one + only_other:
+        return above, 1.0
+    return above, float(scipy.stats.binomtest(only_one, only_one + only_other).pvalue)

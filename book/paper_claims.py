@@ -1,0 +1,196 @@
+"""The paper's eight claims (Arnob 2020), as data.
+
+A claim is a list of comparisons. Each asks one question of one or two
+runs, about the returns of their seeds or about which seeds arrive.
+`paper_verdicts` answers them.
+"""
+
+from typing import NamedTuple
+
+from paper_figures import PAPER
+
+BAR = -14  # nobody returns more on the maze without passing the barrier
+HALF = PAPER["DisabledAnt"][0] / 2
+
+
+class Comparison(NamedTuple):
+    """A question about one run, or about a run and another or a bar."""
+
+    what: str
+    question: str
+    one: str
+    other: str | float | None = None
+
+
+class Claim(NamedTuple):
+    """A claim, what decides it, and what is compared beside it.
+
+    What stands beside it need not be recorded.
+    """
+
+    text: str
+    comparisons: tuple[Comparison, ...]
+    instead: tuple[Comparison, ...] = ()
+
+
+RETURNS = ("better", "comparable", "fails")
+SUCCESSES = ("arrives", "varies", "mostly fails", "more arrive")
+
+ANT, MAZE = "ant-rewards/implementation-", "maze-retraining/"
+CLAIMS = {
+    1: Claim(
+        "Implementation 4 is the best reward.",
+        tuple(
+            Comparison(
+                f"CustomAnt: 4 above {n}", "better", f"{ANT}4", f"{ANT}{n}"
+            )
+            for n in (1, 2, 3)
+        ),
+        tuple(
+            Comparison(
+                f"PointMazeLeft: 4 above {n}",
+                "better",
+                "maze-rewards/implementation-4",
+                f"maze-rewards/implementation-{n}",
+            )
+            for n in (1, 2, 3)
+        ),
+    ),
+    2: Claim(
+        "Off-policy AIRL is better than DAC on Hopper and Walker2d, and "
+        "comparable on HalfCheetah and Ant.",
+        tuple(
+            Comparison(
+                f"{task}: AIRL {word} DAC",
+                question,
+                f"locomotion/{task}-airl",
+                f"locomotion/{task}-dac",
+            )
+            for task, question, word in (
+                ("Hopper", "better", "above"),
+                ("Walker2d", "better", "above"),
+                ("HalfCheetah", "comparable", "like"),
+                ("Ant", "comparable", "like"),
+            )
+        ),
+        (
+            Comparison(
+                "PointMazeLeft: AIRL above DAC",
+                "better",
+                "maze-imitation",
+                "maze-dac/sac",
+            ),
+            *(
+                Comparison(
+                    f"{task}: AIRL by the recipe above DAC",
+                    "better",
+                    f"recipe/{task}-airl",
+                    f"recipe/{task}-dac",
+                )
+                for task in ("Hopper", "Walker2d", "HalfCheetah")
+            ),
+        ),
+    ),
+    3: Claim(
+        "The transfer to DisabledAnt fails.",
+        tuple(
+            Comparison(
+                f"DisabledAnt, {kept}: below the bar",
+                "fails",
+                f"ant-transfer/{run}",
+                HALF,
+            )
+            for kept, run in (
+                ("SAC", "policy"),
+                ("SAC-MCP, k = 4", "4-both"),
+                ("SAC-MCP, k = 8", "8-both"),
+            )
+        ),
+    ),
+    4: Claim(
+        "The transfer to PointMazeRight works, with high variance.",
+        (
+            Comparison(
+                "policy kept: more arrive than before retraining",
+                "arrives",
+                f"{MAZE}policy",
+            ),
+            Comparison(
+                "policy kept: some arrive, some do not",
+                "varies",
+                f"{MAZE}policy",
+            ),
+        ),
+        (
+            Comparison(
+                "from scratch more arrive",
+                "more arrive",
+                f"{MAZE}scratch",
+                f"{MAZE}policy",
+            ),
+        ),
+    ),
+    5: Claim(
+        "SAC-MCP improves imitation on HalfCheetah and Ant.",
+        tuple(
+            Comparison(
+                f"{task}: k = {k} above SAC",
+                "better",
+                f"locomotion/{task}-mcp-{k}",
+                f"locomotion/{task}-airl",
+            )
+            for task in ("HalfCheetah", "Ant")
+            for k in (4, 8)
+        ),
+        tuple(
+            Comparison(
+                f"PointMazeLeft: k = {k} above SAC",
+                "better",
+                f"maze-mcp/{k}-softmax",
+                "maze-mcp/plain",
+            )
+            for k in (4, 8)
+        ),
+    ),
+    6: Claim(
+        "Retraining the gate alone fails on the maze.",
+        tuple(
+            Comparison(
+                f"gate only, k = {k}", "mostly fails", f"{MAZE}{k}-gate"
+            )
+            for k in (4, 8)
+        ),
+    ),
+    7: Claim(
+        "With eight primitives the transfer varies less than with SAC.",
+        *(
+            (
+                Comparison(
+                    f"k = 8 against {than}",
+                    "more arrive",
+                    f"{MAZE}8-both",
+                    f"{MAZE}{run}",
+                ),
+            )
+            for than, run in (("SAC", "policy"), ("k = 4", "4-both"))
+        ),
+    ),
+    8: Claim(
+        "Random starts improve the transfer, and make it vary less.",
+        tuple(
+            Comparison(
+                f"{kept}, an expert's starts against none",
+                "more arrive",
+                f"{MAZE}{run}-expert-starts",
+                f"{MAZE}{run}",
+            )
+            for kept, run in (
+                ("SAC", "policy"),
+                ("k = 4", "4-both"),
+                ("k = 8", "8-both"),
+                ("gate only, k = 4", "4-gate"),
+                ("gate only, k = 8", "8-gate"),
+            )
+        ),
+    ),
+}

@@ -1,0 +1,154 @@
+"""Verdicts in words: the cells of the last chapter's tables."""
+
+import numpy as np
+
+from offairl_lite.runs import records
+from paper_claims import CLAIMS
+from paper_figures import record
+from paper_verdicts import (
+    IN_PART,
+    RECORDS,
+    RUNAWAY,
+    SEEDS,
+    STEPS,
+    UNDECIDED,
+    Found,
+    large_enough,
+    recorded,
+    runaways,
+)
+
+
+def number(x: float, digits: int = 0) -> str:
+    """Write a number, with a proper minus."""
+    return f"{x:,.{digits}f}".replace("-", "−")
+
+
+def interval(numbers: tuple | None, digits: int) -> str:
+    """Write a number with its interval; a dash for none."""
+    if numbers is None:
+        return "–"
+    middle, *ends = (number(x, digits) for x in numbers)
+    if np.isinf(numbers[1]):
+        return f"{middle} [?]"
+    return f"{middle} [{', '.join(ends)}]"
+
+
+def rate(found: tuple[float, float, float], seeds: int) -> str:
+    """Write how many seeds arrive, with the interval of their share."""
+    share, low, high = found
+    interval = f"[{100 * low:.0f} %, {100 * high:.0f} %]"
+    return f"{share * seeds:.0f} of {seeds} {interval}"
+
+
+def of_successes(found: Found) -> bool:
+    """Say whether a comparison is of seeds that arrive."""
+    return isinstance(found.effect[0], tuple)
+
+
+def cells(found: Found) -> tuple[str, str]:
+    """Write the effect of a comparison, and how sure it is."""
+    if of_successes(found):
+        rates = [rate(each, found.seeds) for each in found.effect]
+        p = found.chance
+        return " against ".join(rates), "–" if p is None else f"p = {p:.2g}"
+    digits = 0 if abs(found.effect[0]) > 100 else 1
+    return (
+        interval(found.effect, digits),
+        f"P = {interval(found.chance, 2)}",
+    )
+
+
+def evidence(found: list[Found]) -> str:
+    """Say in a line what a verdict rests on."""
+    if not of_successes(found[0]):
+        words = [each.seen for each in found]
+        counts = [
+            f"{words.count(word)} {word}" for word in dict.fromkeys(words)
+        ]
+        return "seen so far: " + ", ".join(counts)
+    seeds = found[0].seeds
+    if len({each.effect for each in found}) == 1 == len(found[0].effect):
+        text = f"{rate(found[0].effect[0], seeds)} seeds arrive"
+        away = [str(each.runaways) for each in found]
+        if any(each.runaways for each in found):
+            text += f"; temperature above {RUNAWAY:,} in "
+            text += " and ".join(away) + " seeds"
+        return text
+    mark = " against " if len(found) == 1 else " : "
+    pairs = [
+        mark.join(f"{share * seeds:.0f}" for share, *_ in each.effect)
+        for each in found
+    ]
+    text = ", ".join(pairs) + f" of {seeds} seeds"
+    if len(found) == 1:
+        return f"{text}, {cells(found[0])[1]}"
+    claimed = sum(each.seen == "as claimed" for each in found)
+    return f"{text}; as claimed in {claimed} of {len(found)} cases"
+
+
+def missing(n: int) -> list[str]:
+    """Return the runs that a claim needs and that are not large enough."""
+    runs = dict.fromkeys(
+        run
+        for each in CLAIMS[n].comparisons
+        for run in (each.one, each.other)
+        if isinstance(run, str)
+    )
+    return [
+        run
+        for run in runs
+        if not recorded(run, "full")
+        or not large_enough([recorded(run, "full")], "full")
+    ]
+
+
+def hours() -> float:
+    """Return how long the paper's seeds and steps take on one core.
+
+    That is measured: Hopper with networks of the paper's size.
+    """
+    paces = [
+        records.read_json(path)["wall_s"]
+        / len(records.read(path.parent).rows)
+        / records.read(path.parent).config.eval_every
+        for path in RECORDS.glob("locomotion-full/Hopper-*/run.json")
+    ]
+    return float(np.mean(paces)) * SEEDS * STEPS / 3600
+
+
+def needed(n: int, word: str) -> str:
+    """Say what would decide a claim that is not decided."""
+    wanted = []
+    if runs := missing(n):
+        days = f"{hours() * len(runs) / 24:.0f} days"
+        wanted.append(f"{len(runs)} runs, about {days}")
+    if runs := out_of_bounds(n):
+        took = sum(
+            records.read_json(RECORDS / record(run, "full") / "run.json")[
+                "wall_s"
+            ]
+            for run in runs
+        )
+        wanted.append(
+            f"{len(runs)} runs with a bounded temperature, about "
+            f"{took / 3600:.0f} hours"
+        )
+    if word in (UNDECIDED, IN_PART):
+        wanted.append("more seeds")
+    return "; ".join(wanted) or "–"
+
+
+def out_of_bounds(n: int) -> list[str]:
+    """Return the runs of a claim whose temperature ran away."""
+    runs = [
+        run
+        for each in CLAIMS[n].comparisons
+        for run in (each.one, each.other)
+        if isinstance(run, str) and recorded(run, "full")
+    ]
+    return [
+        run
+        for run in dict.fromkeys(runs)
+        if runaways(recorded(run, "full"))
+    ]
