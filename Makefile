@@ -8,9 +8,9 @@ ENV   := .venv/.installed
 STAGE := build/$(SCALE)
 HTML  := _build/html
 
-# A chapter is run again when it, the package, a record or the environment has changed, at each
-# scale apart. (The usual execution caches look at the notebook alone.)
-CHAPTERS := $(wildcard book/*.ipynb)
+# A chapter or a laboratory note is run again when it, the package, a record or the environment has
+# changed, at each scale apart. (The usual execution caches look at the notebook alone.)
+CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
 SOURCES  := $(wildcard book/*.py) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -path '*/members/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
@@ -61,7 +61,7 @@ test: $(ENV)
 	$(BIN)/ruff format --check
 	@rm -rf $(STAGE) _build
 	@$(MAKE) --no-print-directory stage
-	@cp $(CHAPTERS) $(STAGE)/book
+	@tar -cf - $(CHAPTERS) | tar -xf - -C $(STAGE)
 	$(BIN)/pytest -rs -n $(WORKERS) --dist worksteal --ignore tests/book tests $(STAGE)/book $(EXECUTE)
 	$(BIN)/pytest -rs tests/book --book $(STAGE)
 	@touch $(RUN)

@@ -1,4 +1,4 @@
-"""The chapters as they are kept: runnable, stripped of outputs, in one form."""
+"""The chapters and notes as they are kept: runnable, stripped of outputs, in one form."""
 
 import re
 from pathlib import Path
@@ -10,6 +10,7 @@ from sphinx_external_toc.parsing import parse_toc_yaml
 
 ROOT = Path(__file__).parents[2]
 CHAPTERS = sorted((ROOT / "book").glob("*.ipynb"))
+NOTES = sorted((ROOT / "book/notes").glob("*.ipynb"))
 
 
 def test_the_bibliography_can_be_read():
@@ -18,12 +19,12 @@ def test_the_bibliography_can_be_read():
     assert len(parse_file(path).entries) == path.read_text("utf-8").count("\n@") + 1
 
 
-def test_every_chapter_is_in_the_table_of_contents():
+def test_every_chapter_and_note_is_in_the_table_of_contents():
     listed = {f"{page}.ipynb" for page in parse_toc_yaml(ROOT / "_toc.yml")}
-    assert {f"book/{path.name}" for path in CHAPTERS} <= listed
+    assert {path.relative_to(ROOT).as_posix() for path in CHAPTERS + NOTES} <= listed
 
 
-@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", CHAPTERS + NOTES, ids=lambda path: path.stem)
 def test_stripped(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
@@ -48,7 +49,21 @@ def test_form(path):
     assert set(exercises) == set(re.findall(r"\{solution(?:-start)?\} (\S+)", text))
 
 
-@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTES, ids=lambda path: path.stem)
+def test_form_of_a_note(path):
+    """A title, a check, short visible cells, and captions that begin with the message."""
+    cells = nbformat.read(path, as_version=4).cells
+    assert re.match(r"# \S", cells[0].source)
+    code = [cell for cell in cells if cell.cell_type == "code"]
+    assert any(re.search(r"^ *assert ", cell.source, re.MULTILINE) for cell in code)
+    for cell in code:
+        folded = {"hide-input", "remove-input"} & set(cell.metadata.get("tags", []))
+        assert folded or cell.source.count("\n") < 20, cell.id
+        figure = cell.metadata.get("mystnb", {}).get("figure")
+        assert not figure or re.match(r"\*\*[^*]+\.\*\* ", figure["caption"]), cell.id
+
+
+@pytest.mark.parametrize("path", CHAPTERS + NOTES, ids=lambda path: path.stem)
 def test_a_named_figure_is_all_that_its_cell_displays(path):
     """A progress bar would get the figure's name as well: demonstrations are made elsewhere."""
     for cell in nbformat.read(path, as_version=4).cells:

@@ -1,4 +1,4 @@
-"""How long chapters take, and the page that says so."""
+"""How long chapters and notes take, and the page that says so."""
 
 import json
 import re
@@ -15,6 +15,9 @@ EXTENSION = runpy.run_path(str(ROOT / "book/_ext/status.py"))
 BUDGET = json.loads((ROOT / "book/minutes.json").read_text())
 MINUTES = BUDGET["chapters"]
 CHAPTERS = [Path(page).name for page in parse_toc_yaml(ROOT / "_toc.yml") if page[5:6].isdigit()]
+NOTES = BUDGET["notes"]
+PATHS = {f"book/{name}": minutes for name, minutes in MINUTES.items()}
+PATHS |= {f"book/notes/{name}": minutes for name, minutes in NOTES.items()}
 WORDS = {"a": 1, "one": 1, "two": 2, "three": 3, "four": 4}
 
 
@@ -29,27 +32,36 @@ def test_every_chapter_has_a_budget_of_four_minutes_at_most():
     assert all(0 < minutes <= 4 for minutes in MINUTES.values())
 
 
-@pytest.mark.parametrize("chapter", CHAPTERS)
-def test_the_minutes_that_are_promised_are_the_budget(chapter):
-    cells = json.loads((ROOT / f"book/{chapter}.ipynb").read_text())["cells"]
+def test_every_note_has_a_budget_of_four_minutes_at_most():
+    assert sorted(NOTES) == sorted(path.stem for path in (ROOT / "book/notes").glob("*.ipynb"))
+    assert all(0 < minutes <= 4 for minutes in NOTES.values())
+
+
+@pytest.mark.parametrize("page", PATHS)
+def test_the_minutes_that_are_promised_are_the_budget(page):
+    cells = json.loads((ROOT / f"{page}.ipynb").read_text())["cells"]
     promised = re.search(r"\*\*It takes\*\*[^.:]*?(\w+) minute", "".join(cells[0]["source"]))
-    assert promised, f"{chapter}: say in its first cell how long it takes: **It takes** about …"
-    assert WORDS[promised[1]] == MINUTES[chapter]
+    assert promised, f"{page}: say in its first cell how long it takes: **It takes** about …"
+    assert WORDS[promised[1]] == PATHS[page]
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_the_minutes_of_a_chapter_are_in_both_tables_of_contents(chapter):
     readme, front = (ROOT / "README.md").read_text(), (ROOT / "book/index.md").read_text()
     assert f"(book/{chapter}.ipynb) | {MINUTES[chapter]} |" in readme
     assert f"{{doc}}`{chapter}` | {MINUTES[chapter]} |" in front
 
 
-@pytest.mark.parametrize("chapter", CHAPTERS)
-def test_chapter_keeps_its_budget(book, chapter):
+@pytest.mark.parametrize("page", PATHS)
+def test_page_keeps_its_budget(book, page):
     """As a ratio to work that is timed before and after it; a quarter more may be noise."""
     if book.name != "demo":
         pytest.skip("chapters have no time limit at full scale")
-    path = book / f"book/{chapter}.ipynb"
+    path = book / f"{page}.ipynb"
     metadata = json.loads(path.read_text("utf-8"))["metadata"]
     assert "calibration" in metadata, "run `make test`, which measures it around each chapter"
     took = seconds(path) / metadata["calibration"]
-    assert took <= 1.25 * 60 * MINUTES[chapter] / BUDGET["calibration"]
+    assert took <= 1.25 * 60 * PATHS[page] / BUDGET["calibration"]
 
 
 def test_an_unexecuted_chapter_has_no_times(tmp_path):
@@ -58,11 +70,11 @@ def test_an_unexecuted_chapter_has_no_times(tmp_path):
     assert EXTENSION["executed"](path) is None
 
 
-def test_the_status_page_has_each_chapter_and_what_it_ran_with(book, html):
+def test_the_status_page_has_each_page_and_what_it_ran_with(book, html):
     soup = BeautifulSoup((html / "book/status.html").read_text(), "html.parser")
     rows = [[cell.text for cell in row.select("td")] for row in soup.select("tr")]
     linked = {link["href"] for link in soup.select("article td a")}
-    for chapter in CHAPTERS:
-        assert f"{chapter}.html" in linked
-        assert f"{seconds(book / f'book/{chapter}.ipynb'):.0f}" in {row[1] for row in rows if row}
+    for page in PATHS:
+        assert f"{page.removeprefix('book/')}.html" in linked
+        assert f"{seconds(book / f'{page}.ipynb'):.0f}" in {row[1] for row in rows if row}
     assert ["torch", version("torch")] in rows
