@@ -9,7 +9,7 @@ from torch import Tensor
 
 from offairl_lite.config import Config, LearnerConfig, SACConfig, TD3Config
 from offairl_lite.core import absorbing
-from offairl_lite.core.acceleration import Execution, is_large, piecewise
+from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator, make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, defensive_log_density
@@ -110,12 +110,9 @@ class Models:
             steps: environment steps so far, which decide the warm-up's share of replay.
         """
         params = self.learner.actor_params.detach().clone()
-        in_pieces = is_large(self.config.learner) and params.device.type == "cpu"
 
         def density(batch: Batch) -> Float[Tensor, "S B"]:
-            log_prob = self.learner.log_prob
-            log_prob = piecewise(log_prob) if in_pieces else log_prob
-            return log_prob(params, batch.obs, batch.pre_tanh)
+            return self.learner.log_prob(params, batch.obs, batch.pre_tanh)
 
         if not self.config.learns_reward or self.config.discriminator.loss != "mixture":
             return density

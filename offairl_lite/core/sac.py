@@ -14,6 +14,7 @@ from torch import Tensor
 
 from offairl_lite.config import SACConfig
 from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbing
+from offairl_lite.core.acceleration import is_large, piecewise
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
@@ -76,7 +77,7 @@ class SAC:
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
         rng: for the initial weights.
-        normaliser: scales every observation that comes in.
+        normaliser: scales every observation that comes in, but not the absorbing indicator.
         absorbing: what follows a termination, as in `Schedule.absorbing`.
     """
 
@@ -123,7 +124,10 @@ class SAC:
     ) -> Float[Tensor, "S B"]:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
         obs = self.normaliser(obs)
-        log_prob = self.actor.log_prob(actor_params, obs, pre_tanh)
+        density = self.actor.log_prob
+        if is_large(self.config) and obs.device.type == "cpu":
+            density = piecewise(density)
+        log_prob = density(actor_params, obs, pre_tanh)
         return log_prob if self.absorbing == "none" else hold_still(obs, log_prob)[0]
 
     def sample(

@@ -36,7 +36,7 @@ class TD3:
         obs_dim: O, with the absorbing indicator where there is one.
         action_dim: A.
         rng: for the initial weights.
-        normaliser: scales every observation that comes in.
+        normaliser: scales every observation that comes in, but not the absorbing indicator.
         absorbing: what follows a termination, as in `Schedule.absorbing`.
     """
 

@@ -1,6 +1,6 @@
 """However an update is executed, it is the same update."""
 
-from dataclasses import replace
+from contextlib import closing
 from functools import partial
 
 import pytest
@@ -29,22 +29,18 @@ VARIANTS = [
     {"temperature": None, "update_every": 20},
     {"env_id": HOPPER, "update_every": 20, "absorbing": "analytic", "penalty_on": "probability"},
     {"env_id": HOPPER, "update_every": 20, "reward": "dac", "generator": "td3"},
-    {"env_id": HOPPER, "update_every": 20, "generator": "ppo", "epochs": 2},
+    {"env_id": HOPPER, "update_every": 20, "generator": "ppo"},
 ]
 NAMES = ["airl", "absorbing", "td3", "ppo"]
 
 
 def trained(config, demonstrations, execution):
     """Weights after the first updates, the same batches for each execution."""
-    trainer = Trainer(config, (0, 1), demonstrations, execution=execution)
-    while trainer.generator is None:
-        trainer.advance()
-    if config.generator == "ppo":  # It does not make up for the warm-up's updates.
-        while not trainer.owed:
-            trainer.advance()
-    while trainer.owed:
-        trainer.advance()
-    return torch.cat([weights.flatten() for weights in trainer._learned().values()]).cpu()
+    with closing(Trainer(config, (0, 1), demonstrations, execution=execution)) as trainer:
+        for _ in trainer.run():
+            if trainer.trained:
+                break
+        return torch.cat([x.flatten() for x in trainer.models.weights().values()]).cpu()
 
 
 def assert_same_updates(config, demonstrations, other):
@@ -58,8 +54,8 @@ def assert_same_updates(config, demonstrations, other):
 @needs_compiler
 @pytest.mark.parametrize("changes", VARIANTS, ids=NAMES)
 def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, changes):
-    config = replace(tiny, warmup_steps=20, **changes)
-    config = replace(config, hidden=(16,), reward_hidden=(8,), shaping_hidden=(8,))
+    config = tiny.change(warmup_steps=20, **changes)
+    config = config.change(hidden=(16,), reward_hidden=(8,), shaping_hidden=(8,))
     assert_same_updates(config, random_demonstrations(config.env_id), Execution(compile=True))
 
 
@@ -67,7 +63,7 @@ def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, chang
 @pytest.mark.parametrize("compile", [False, pytest.param(True, marks=needs_compiler)])
 def test_an_update_with_onednn_is_the_same_update(tiny, random_demonstrations, compile):
     """Networks are wide enough for PyTorch to ask it; rounding to 16 bits would be seen."""
-    config = replace(tiny, warmup_steps=20, update_every=20, hidden=(64, 64), batch_size=64)
+    config = tiny.change(warmup_steps=20, update_every=20, hidden=(64, 64), batch_size=64)
     other = Execution(compile=compile, onednn=True)
     assert_same_updates(config, random_demonstrations(config.env_id), other)
 
@@ -132,7 +128,7 @@ def test_member_by_member_and_piece_by_piece_it_is_the_same_function(rows):
 @pytest.mark.parametrize("compile", [False, True])
 @pytest.mark.parametrize("changes", VARIANTS, ids=NAMES)
 def test_a_captured_update_is_the_same_update(tiny, random_demonstrations, changes, compile):
-    config = replace(tiny, warmup_steps=20, **changes)
+    config = tiny.change(warmup_steps=20, **changes)
     demonstrations = random_demonstrations(config.env_id)
     assert_same_updates(config, demonstrations, Execution("cuda", compile=compile))
 
@@ -149,8 +145,8 @@ def test_a_run_on_a_gpu_is_the_run_on_a_cpu_at_first(tiny, random_demonstrations
 @needs_gpu
 def test_a_frozen_reward_serves_on_a_gpu(tiny, random_demonstrations):
     reward = train(tiny, (0, 1), random_demonstrations(MAZE), progress=False).reward
-    frozen = replace(tiny, reward="frozen")
-    assert train(frozen, (0, 1), reward=reward, execution=Execution("cuda")).rows
+    frozen = tiny.change(reward="frozen")
+    assert train(frozen, (0, 1), frozen_reward=reward, execution=Execution("cuda")).rows
 
 
 @needs_gpu

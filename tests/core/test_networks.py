@@ -6,7 +6,6 @@ from torch import nn
 
 from offairl_lite.core.networks import (
     Adam,
-    Bottleneck,
     Normaliser,
     StackedMLP,
     TwinCritic,
@@ -79,82 +78,6 @@ def test_training_on_the_input_gradient_is_double_backward(activation):
     torch.testing.assert_close(
         torch.autograd.grad(written_out, params), torch.autograd.grad(automatic, params)
     )
-
-
-def test_spectral_normalisation_makes_every_weight_s_largest_singular_value_one():
-    net = StackedMLP((4, 6, 7, 1), "tanh")
-    params = random_params(net)
-    vectors = net.init_vectors(Streams(range(S))).double()
-    for _ in range(300):
-        vectors = net.power_iteration(params, vectors)
-    normalised = net.spectrally_normalised(params, vectors)
-    pairs = zip(net.layers(params), net.layers(normalised), strict=True)
-    for (bias, weight), (same, scaled) in pairs:
-        norm = torch.linalg.matrix_norm(weight, ord=2).view(-1, 1, 1)
-        torch.testing.assert_close(scaled, weight / norm)
-        assert torch.equal(same, bias)
-    # So the slope of the whole is 1 at most.
-    slope = net.value_and_input_gradient(normalised, 3 * inputs(4))[1].norm(dim=-1)
-    assert slope.max() <= 1
-
-
-def test_the_gradient_through_spectral_normalisation_is_the_singular_value_s():
-    net = StackedMLP((4, 6, 1), "tanh")
-    params = random_params(net).requires_grad_()
-    vectors = net.init_vectors(Streams(range(S))).double()
-    for _ in range(300):
-        vectors = net.power_iteration(params, vectors)
-    direction = inputs(net.num_params)[:, 0]
-    exact = torch.cat(
-        [
-            part
-            for bias, weight in net.layers(params)
-            for part in (
-                bias.squeeze(1),
-                (weight / torch.linalg.matrix_norm(weight, ord=2).view(-1, 1, 1)).flatten(1),
-            )
-        ],
-        1,
-    )
-    ours = net.spectrally_normalised(params, vectors)
-    by_ours, by_exact = (
-        torch.autograd.grad((x * direction).sum(), params)[0] for x in (ours, exact)
-    )
-    torch.testing.assert_close(by_ours, by_exact)
-
-
-def test_weights_of_zero_survive_spectral_normalisation():
-    net = StackedMLP((4, 6, 1))
-    params = torch.zeros(S, net.num_params)
-    vectors = net.power_iteration(params, net.init_vectors(Streams(range(S))))
-    assert (net.spectrally_normalised(params, vectors) == 0).all()
-
-
-@pytest.mark.parametrize("sizes", [(4, 1), (4, 6, 7, 1)])
-def test_a_bottleneck_at_its_mean_is_a_network(sizes):
-    form, x = Bottleneck(sizes, 3, "tanh"), inputs(4)
-    count = form.encoder.num_params + form.head.num_params
-    params = Streams(range(S)).normal(count).double()  # biases too, which begin at zero
-    encoder, head = params.split([form.encoder.num_params, form.head.num_params], 1)
-    mean, log_std = form.encoder(encoder, x).chunk(2, -1)
-    torch.testing.assert_close(form.net(form.at_mean(params), x), form.head(head, mean))
-    assert log_std.shape == (S, B, 3)
-
-
-def test_the_spread_of_a_bottleneck_is_that_of_its_samples():
-    form, x = Bottleneck((4, 6, 1), 3, "tanh"), inputs(4)
-    params = Streams(range(S)).normal(form.encoder.num_params + form.head.num_params).double() / 2
-    encoder, head = params.split([form.encoder.num_params, form.head.num_params], 1)
-    mean, log_std = form.encoder(encoder, x).chunk(2, -1)
-    code = torch.distributions.Normal(mean, log_std.exp())
-    variance, divergence = form.spread(params, x)
-    noise = Streams(range(20, 20 + S)).normal(B, 100_000, 3).double()
-    z = mean.unsqueeze(2) + log_std.exp().unsqueeze(2) * noise
-    sampled = form.head(head, z.flatten(1, 2)).view(S, B, -1).var(-1)
-    torch.testing.assert_close(variance, sampled, rtol=0.03, atol=0)
-    prior = torch.distributions.Normal(torch.zeros_like(mean), 1.0)
-    expected = torch.distributions.kl_divergence(code, prior).sum(-1)
-    torch.testing.assert_close(divergence, expected)
 
 
 def test_initial_weights_are_glorot_uniform_and_biases_zero():

@@ -1,18 +1,20 @@
 """SAC, and what SAC and TD3 have in common (`both`)."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.absorbing import absorbing_state, is_absorbing
-from offairl_lite.core.acceleration import PIECE
+from offairl_lite.core.acceleration import PIECE, Execution
+from offairl_lite.core.fitting import fit_learner
+from offairl_lite.core.models import Models
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, Replay
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import (
+    ACTOR_DELAY,
     SAC,
     actor_loss,
     bellman_target,
@@ -23,16 +25,31 @@ from offairl_lite.core.sac import (
 from offairl_lite.core.td3 import TD3
 
 OBS, ACT, B = 3, 2, 6
-CONFIG = replace(CORRECTED, hidden=(8, 8), reward="dac", learning_rate=1e-2)
+CONFIG = CORRECTED.change(hidden=(8, 8), reward="dac", learning_rate=1e-2)
 both = pytest.mark.parametrize("learner", [SAC, TD3])
 
 
-def make(learner=SAC, seeds=(0, 1), **changes):
-    """A learner with targets of their own, and observations that are scaled."""
-    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
-    made = learner(replace(CONFIG, **changes), OBS, ACT, Streams(seeds), normaliser)
+def scaling(seeds, absorbing="none"):
+    """Scale every number but the indicator of the absorbing state, if there is one."""
+    mean, std = Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS)
+    if absorbing != "none":
+        mean[..., -1], std[..., -1] = 0, 1
+    return Normaliser(mean, std)
+
+
+def make(learner=SAC, seeds=(0, 1), absorbing="none", **changes):
+    """A learner whose targets differ from its critics, and whose observations are scaled."""
+    config = CONFIG.change(**changes).learner
+    normaliser = scaling(seeds, absorbing)
+    made = learner(config, OBS, ACT, Streams(seeds), normaliser, absorbing)
     made.target_params = made.critic.init(Streams([50 + seed for seed in seeds]))
     return made
+
+
+def make_models(seeds=(0, 1), **changes):
+    """The models of a whole run, which contain such a learner."""
+    config = CONFIG.change(**changes)
+    return Models(config, (OBS, ACT), Streams(seeds), scaling(seeds), Execution())
 
 
 def data(seeds=(0, 1)):
@@ -46,13 +63,19 @@ def data(seeds=(0, 1)):
     return Batch(obs, u, next_obs, torch.zeros_like(reward), terminated), reward, noise
 
 
-def update(learner, batch, reward, noise, absorbing_reward=0.0):
-    return learner.update(batch, reward, torch.full((len(reward), 1), absorbing_reward), noise)
+def update(learner, batch, reward, noise, absorbing_reward=0.0, delayed=True):
+    there = torch.full((len(reward), 1), absorbing_reward)
+    return learner.update(batch, reward, there, noise, delayed)
+
+
+def log_prob(learner, batch):
+    return learner.log_prob(learner.actor_params, batch.obs, batch.pre_tanh)
 
 
 def weights(learner):
     """All that is learned, one row a member."""
-    twins = [params.transpose(0, 1).flatten(1) for params in (learner.critic_params, learner.target_params)]  # fmt: skip  # noqa: E501
+    both = learner.critic_params, learner.target_params
+    twins = [params.transpose(0, 1).flatten(1) for params in both]
     alpha = [learner.log_alpha] if isinstance(learner, SAC) else [learner.target_actor_params]
     return torch.cat([learner.actor_params, *twins, *alpha], 1).detach().clone()
 
@@ -67,13 +90,18 @@ def test_losses_by_hand():
     target = bellman_target(reward, terminated, value, 0.5)
     assert target.tolist() == [[10 + 0.5 * 2, 10]]
     assert critic_loss(q, target).item() == (10**2 + 6**2) / 2 + (9**2 + 7**2) / 2
-    assert actor_loss(value, torch.tensor([[1.0, 0.0]])).item() == -(2 + 0) / 2
+    # α log π - Q is -1 - 3 and 2 - 1.
+    assert actor_loss(log_prob, torch.tensor([[3.0, 1.0]]), alpha).item() == (-4 + 1) / 2
 
 
 def test_the_temperature_s_loss_by_hand():
     # α (H - H̄), averaged: entropies of 1 and -3, of which 1 is wanted.
     log_alpha, log_prob = torch.tensor([[math.log(0.5)]]), torch.tensor([[-1.0, 3.0]])
-    assert temperature_loss(log_alpha, log_prob, 1.0).item() == pytest.approx(0.5 * (0 - 4) / 2)
+    loss = temperature_loss(log_alpha, log_prob, 1.0, torch.ones(1, 2))
+    assert loss.item() == pytest.approx(0.5 * (0 - 4) / 2)
+    # Where nothing is decided, the entropy does not count.
+    loss = temperature_loss(log_alpha, log_prob, 3.0, torch.tensor([[1.0, 0.0]]))
+    assert loss.item() == pytest.approx(0.5 * (-2 + 0) / 2)
 
 
 # Networks without hidden layers and with weights of 0 but for some: all can be done on paper.
@@ -112,12 +140,28 @@ def test_the_squashed_density_by_hand(action, log_density):
     batch = batch._replace(pre_tanh=torch.full((2, B, ACT), math.atanh(action)))
     # Two actions, independent of each other.
     expected = torch.full((2, B), 2 * log_density)
-    torch.testing.assert_close(learner.log_prob(batch), expected, rtol=0, atol=1e-5)
+    torch.testing.assert_close(log_prob(learner, batch), expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.7])
+def test_the_density_integrates_to_one(mean):
+    learner = make(seeds=(0,), **BY_HAND)
+    learner.actor_params = constant_policy(learner, mean)
+    # Trapezoids over a grid of both actions, in the coordinates u with a = tanh u.
+    u = torch.linspace(-9, 9, 401)
+    pre_tanh = torch.cartesian_prod(u, u).unsqueeze(0)
+    obs = torch.zeros(1, pre_tanh.shape[1], OBS)
+    log_density = learner.log_prob(learner.actor_params, obs, pre_tanh).double()
+    slope = 1 - torch.tanh(pre_tanh.double()).square()
+    density = (log_density.exp() * slope.prod(-1)).view(401, 401)
+    total = torch.trapezoid(torch.trapezoid(density, u.double()), u.double())
+    assert total.item() == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.parametrize("log_density", ["exact", "released"])
 def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density, monkeypatch):
-    learner, (batch, *_) = make(hidden=(160,), log_density=log_density), data()
+    models, (batch, *_) = make_models(hidden=(160,), log_density=log_density), data()
+    learner = models.learner
     many = batch._replace(
         **{name: getattr(batch, name).repeat_interleave(200, 1) for name in ("obs", "pre_tanh")}
     )
@@ -127,12 +171,12 @@ def test_the_density_of_a_large_actor_is_taken_piece_by_piece(log_density, monke
     actor, shapes = type(learner.actor), []
     whole = actor.log_prob
 
-    def log_prob(self, params, obs, pre_tanh, density):
+    def recorded(self, params, obs, pre_tanh, density):
         shapes.append(tuple(obs.shape[:2]))
         return whole(self, params, obs, pre_tanh, density)
 
-    monkeypatch.setattr(actor, "log_prob", log_prob)
-    torch.testing.assert_close(learner.log_prob(many), expected)
+    monkeypatch.setattr(actor, "log_prob", recorded)
+    torch.testing.assert_close(models.log_density(0)(many), expected)
     assert shapes == [(1, PIECE), (1, PIECE), (1, 200 * B - 2 * PIECE)] * 2  # two members
 
 
@@ -142,7 +186,7 @@ def test_an_update_of_the_critics_by_hand():
     learner.critic_params.detach().copy_(linear_critics(learner, [4.0, 1.0], [0.0, 0.0]))
     learner.target_params = linear_critics(learner, [3.0, 2.0], [0.0, 0.0])
     batch = batch._replace(terminated=torch.tensor([0.0, 1.0, 0.0] * 2).expand(2, B))
-    loss = update(learner, batch, torch.ones(2, B), 0 * noise)["critic_loss"]
+    loss = update(learner, batch, torch.ones(2, B), 0 * noise, delayed=False)["critic_loss"]
     going_on = 1 + 0.99 * (2 - 0.2 * 2 * LOG_NORMAL_0)  # 3.343900
     assert going_on == pytest.approx(3.343900, abs=1e-6)
     by_hand = (2 * ((4 - going_on) ** 2 + (1 - going_on) ** 2) + (4 - 1) ** 2 + 0) / 3
@@ -160,8 +204,8 @@ def test_the_actor_s_gradient_by_hand():
     pre_tanh, log_prob = learner.actor.sample(params, torch.zeros(1, B, OBS), noise)
     critics = linear_critics(learner, [0.0, 5.0], [2.0, 7.0])
     q = learner.critic(critics, torch.zeros(1, B, OBS), torch.tanh(pre_tanh))
-    value = soft_value(q, torch.tensor([[0.2]]), log_prob)
-    gradient = torch.autograd.grad(actor_loss(value, torch.ones(1, B)), params)[0][0]
+    loss = actor_loss(log_prob, q.amin(0), torch.tensor([[0.2]]))
+    gradient = torch.autograd.grad(loss, params)[0][0]
     by_mean = 2 * 0.2 * 0.5 - 2 * 0.75  # -1.3
     by_log_std = -0.2 + 0.25 * by_mean
     # log σ = tanh(raw) within (-1, 1), with slope 1 at raw = 0.
@@ -171,7 +215,7 @@ def test_the_actor_s_gradient_by_hand():
 
 @pytest.mark.parametrize(("learner", "sign"), [(SAC, -1), (TD3, 1)])
 def test_sac_s_actor_climbs_the_smaller_critic_and_td3_s_the_first(learner, sign):
-    learner = make(learner, actor_delay=1, temperature=1e-6, **BY_HAND)
+    learner = make(learner, temperature=1e-6, **BY_HAND)
     learner.critic_optimizer.learning_rate = 0.0
     learner.actor_params.detach().copy_(constant_policy(learner, 0.0))
     # The second is the smaller one, and falls with the action.
@@ -187,7 +231,7 @@ def test_sac_s_actor_climbs_the_smaller_critic_and_td3_s_the_first(learner, sign
 def test_the_temperature_s_first_step_by_hand():
     """At σ = 1 and u = 0 the entropy is 0.919 an action: more than is wanted, so log α falls."""
     for wanted, sign in ((2 * 0.9, -1), (2 * 0.95, 1)):
-        learner = make(temperature=None, target_entropy=wanted, actor_delay=1, **BY_HAND)
+        learner = make(temperature=None, target_entropy=wanted, **BY_HAND)
         learner.actor_params.detach().copy_(constant_policy(learner, 0.0))
         batch, reward, noise = data()
         update(learner, batch, reward, 0 * noise)
@@ -198,14 +242,14 @@ def test_the_temperature_s_first_step_by_hand():
 def test_losses_are_summed_over_members_and_averaged_over_the_batch():
     ones = torch.ones(3, 5)
     assert critic_loss(torch.zeros(2, 3, 5), ones).item() == 6
-    assert actor_loss(ones, ones).item() == -3
-    assert temperature_loss(torch.zeros(3, 1), ones, 1.0).item() == -6
+    assert actor_loss(ones, 2 * ones, torch.ones(3, 1)).item() == -3
+    assert temperature_loss(torch.zeros(3, 1), ones, 1.0, ones).item() == -6
 
 
 @pytest.mark.parametrize(("log_prob", "sign"), [(-5.0, 1), (5.0, -1)])
 def test_temperature_falls_while_there_is_more_entropy_than_wanted(log_prob, sign):
     log_alpha = torch.tensor([[0.3]], requires_grad=True)
-    loss = temperature_loss(log_alpha, torch.full((1, 4), log_prob), 2.0)
+    loss = temperature_loss(log_alpha, torch.full((1, 4), log_prob), 2.0, torch.ones(1, 4))
     gradient = torch.autograd.grad(loss, log_alpha)[0]
     torch.testing.assert_close(gradient, -log_alpha.exp().detach() * (log_prob + 2.0))
     assert gradient.sign() == sign
@@ -224,7 +268,7 @@ def test_the_critic_s_target_is_that_of_the_equation():
 
 
 def test_the_actor_climbs_the_soft_value():
-    learner, (batch, reward, noise) = make(actor_delay=1, learning_rate=1e-3), data()
+    learner, (batch, reward, noise) = make(learning_rate=1e-3), data()
     obs = learner.normaliser(batch.obs)
 
     def value():
@@ -241,7 +285,7 @@ def test_the_actor_climbs_the_soft_value():
 
 @both
 def test_targets_begin_as_copies(learner):
-    config = replace(CORRECTED, hidden=(8,), reward="environment")
+    config = CORRECTED.change(hidden=(8,), reward="environment").learner
     made = learner(config, 3, 2, Streams((0, 1)), Normaliser.identity(2, 3))
     pairs = [(made.target_params, made.critic_params)]
     if learner is TD3:
@@ -269,26 +313,54 @@ def test_the_target_does_not_look_at_the_task_s_reward(learner):
 
 
 @both
-@pytest.mark.parametrize("delay", [1, 2, 3])
-def test_actor_and_targets_move_every_so_many_updates(learner, delay):
-    learner = make(learner, actor_delay=delay)
-    for step in range(1, 7):
+def test_actor_and_targets_move_when_it_is_their_turn(learner):
+    learner = make(learner)
+    for due in (False, True, False, False, True):
         actor, target = learner.actor_params.detach().clone(), learner.target_params.clone()
-        update(learner, *data())
-        due = step % delay == 0
+        critic = learner.critic_params.detach().clone()
+        update(learner, *data(), delayed=due)
+        assert not torch.equal(critic, learner.critic_params)
         assert torch.equal(actor, learner.actor_params) != due
         assert torch.equal(target, learner.target_params) != due
         if due:
-            expected = target + CONFIG.target_rate * (learner.critic_params.detach() - target)
-            torch.testing.assert_close(learner.target_params, expected)
-    assert learner.updates == 6
+            expected = target + CONFIG.learner.target_rate * (learner.critic_params - target)
+            torch.testing.assert_close(learner.target_params, expected.detach())
+
+
+def test_the_temperature_moves_when_it_is_its_turn():
+    learner = make(temperature=None)
+    for due in (False, True, False):
+        before = learner.log_alpha.detach().clone()
+        update(learner, *data(), delayed=due)
+        assert torch.equal(before, learner.log_alpha) != due
+
+
+@pytest.mark.parametrize("generator", ["sac", "td3"])
+def test_every_second_update_is_the_actor_s_turn_from_one_block_to_the_next(generator):
+    models = make_models(generator=generator, reward="environment")
+    replay = Replay(2, B, OBS, ACT)
+    for part in zip(*(x.unbind(1) for x in data()[0]), strict=True):
+        replay.add(Batch(*part))
+    turns, learn = [], models.update_learner
+
+    def recorded(*minibatch):
+        turns.append(minibatch[-1])
+        return learn(*minibatch)
+
+    models.update_learner = recorded
+    done = 0
+    for updates in (3, 4, 1):
+        fit_learner(models, replay, Streams((0, 1)), updates, 2, lambda batch: batch.reward, done)
+        done += updates
+    assert turns == [i % ACTOR_DELAY == 0 for i in range(1, 9)]
+    assert ACTOR_DELAY == 2
 
 
 @both
 def test_the_actor_s_update_leaves_the_critics_alone(learner):
-    with_actor, without = make(learner, actor_delay=1), make(learner, actor_delay=9)
-    for one in (with_actor, without):
-        update(one, *data())
+    with_actor, without = make(learner), make(learner)
+    update(with_actor, *data(), delayed=True)
+    update(without, *data(), delayed=False)
     assert not torch.equal(with_actor.actor_params, without.actor_params)
     assert torch.equal(with_actor.critic_params, without.critic_params)
 
@@ -300,7 +372,7 @@ def test_next_actions_and_the_actor_s_own_are_drawn_apart():
         drawn = noise.clone()
         if changed is not None:
             drawn[changed] = -drawn[changed]
-        learners.append(make(actor_delay=1))
+        learners.append(make())
         update(learners[-1], batch, reward, drawn)
     same, next_actions, own = (learner.critic_params for learner in learners)
     assert not torch.equal(same, next_actions)
@@ -310,7 +382,7 @@ def test_next_actions_and_the_actor_s_own_are_drawn_apart():
 
 @pytest.mark.parametrize(("target_entropy", "rises"), [(50.0, True), (-50.0, False)])
 def test_a_learned_temperature_moves_towards_the_target_entropy(target_entropy, rises):
-    learner = make(temperature=None, target_entropy=target_entropy, actor_delay=1)
+    learner = make(temperature=None, target_entropy=target_entropy)
     for _ in range(3):
         update(learner, *data())
     alpha = learner.log_alpha.exp()
@@ -318,7 +390,7 @@ def test_a_learned_temperature_moves_towards_the_target_entropy(target_entropy, 
 
 
 def test_a_fixed_temperature_stays():
-    learner = make(temperature=0.7, target_entropy=50.0, actor_delay=1)
+    learner = make(temperature=0.7, target_entropy=50.0)
     metrics = [update(learner, *data())["temperature"] for _ in range(3)]
     torch.testing.assert_close(torch.stack(metrics), torch.full((3, 2), 0.7))
 
@@ -327,17 +399,17 @@ def test_the_target_entropy_is_minus_the_number_of_actions():
     assert make(temperature=None).target_entropy == -ACT
 
 
-@both
-def test_a_policy_taken_out_is_not_trained_on(learner):
-    learner = make(learner, actor_delay=1)
-    policy, obs = learner.policy, data()[0].obs
+@pytest.mark.parametrize("generator", ["sac", "td3"])
+def test_a_policy_taken_out_is_not_trained_on(generator):
+    models = make_models(generator=generator)
+    policy, obs = models.policy, data()[0].obs
     before = policy.act(obs)
-    update(learner, *data())
+    update(models.learner, *data())
     assert torch.equal(policy.act(obs), before)
-    assert not torch.equal(learner.policy.act(obs), before)
+    assert not torch.equal(models.policy.act(obs), before)
 
 
-# Absorbing states. The normaliser scales the indicator, too: (s, 1) is not (s', 1) afterwards.
+# Absorbing states.
 
 
 def ending(batch, obs_too=False):
@@ -375,8 +447,10 @@ def test_bootstrap_at_its_fixed_point_is_the_analytic_return(learner):
 def test_targets_with_absorbing_states_by_hand(learner, mode):
     learner, (batch, reward, noise) = make(learner, absorbing=mode), data()
     batch, there = ending(batch), -0.7
-    target = learner._target(batch, reward, torch.full((2, 1), there), noise[0])
-    plain = make(type(learner))._target(batch, reward, torch.zeros(2, 1), noise[0])
+    target = learner.target(batch, reward, torch.full((2, 1), there), noise[0])
+    plain = make(type(learner))
+    plain.normaliser = learner.normaliser
+    plain = plain.target(batch, reward, torch.zeros(2, 1), noise[0])
     ended = is_absorbing(batch.next_obs)
     assert ended.any()
     assert torch.equal(target[~ended], plain[~ended])
@@ -392,7 +466,7 @@ def test_targets_with_absorbing_states_by_hand(learner, mode):
 def test_the_actor_learns_nothing_in_the_absorbing_state(learner):
     batch, reward, noise = data()
     for all_of_it in (True, False):
-        one = make(learner, absorbing="bootstrap", actor_delay=1)
+        one = make(learner, absorbing="bootstrap")
         before = one.actor_params.detach().clone()
         update(one, ending(batch, obs_too=all_of_it), reward, noise)
         assert torch.equal(one.actor_params, before) == all_of_it
@@ -400,13 +474,15 @@ def test_the_actor_learns_nothing_in_the_absorbing_state(learner):
 
 def test_log_prob_is_zero_in_the_absorbing_state_and_that_of_the_actor_elsewhere():
     learner, (batch, *_) = make(absorbing="bootstrap"), data()
-    expected = make().log_prob(batch)
-    assert torch.equal(learner.log_prob(batch), expected)
+    plain = make()
+    plain.normaliser = learner.normaliser
+    expected = log_prob(plain, batch)
+    assert torch.equal(log_prob(learner, batch), expected)
     torch.testing.assert_close(
         expected,
         learner.actor.log_prob(learner.actor_params, learner.normaliser(batch.obs), batch.pre_tanh),
     )
-    assert (learner.log_prob(ending(batch, obs_too=True)) == 0).all()
+    assert (log_prob(learner, ending(batch, obs_too=True)) == 0).all()
 
 
 def test_log_prob_may_be_taken_under_other_weights_and_as_released():
@@ -414,11 +490,23 @@ def test_log_prob_may_be_taken_under_other_weights_and_as_released():
     other = make(seeds=(5, 6)).actor_params
     learner_of_other = make()
     learner_of_other.actor_params = other
-    assert torch.equal(learner.log_prob(batch, other), learner_of_other.log_prob(batch))
-    released = make(log_density="released").log_prob(batch)
+    under_other = learner.log_prob(other, batch.obs, batch.pre_tanh)
+    assert torch.equal(under_other, log_prob(learner_of_other, batch))
+    assert not torch.equal(under_other, log_prob(learner, batch))
+    released = log_prob(make(log_density="released"), batch)
     obs = learner.normaliser(batch.obs)
     expected = learner.actor.log_prob(learner.actor_params, obs, batch.pre_tanh, "released")
     assert torch.equal(released, expected)
+
+
+def test_the_density_that_the_discriminator_sees_stays_while_the_actor_learns():
+    models, (batch, *_) = make_models(), data()
+    density = models.log_density(0)
+    before = density(batch)
+    assert torch.equal(before, log_prob(models.learner, batch))
+    update(models.learner, *data())
+    assert torch.equal(density(batch), before)
+    assert not torch.equal(models.log_density(0)(batch), before)
 
 
 # The population axis.
@@ -426,8 +514,8 @@ def test_log_prob_may_be_taken_under_other_weights_and_as_released():
 
 def train(learner, seeds, batch, reward, noise, updates=4, **changes):
     made = make(learner, seeds, temperature=None, **changes)
-    for _ in range(updates):
-        update(made, batch, reward, noise)
+    for i in range(updates):
+        update(made, batch, reward, noise, delayed=bool(i % 2))
     return weights(made)
 
 
@@ -458,16 +546,15 @@ def test_a_member_s_data_changes_no_other_member(learner):
 
 @pytest.mark.parametrize("there", [True, False])
 def test_the_temperature_does_not_look_at_the_absorbing_state(there):
-    config = replace(CORRECTED, temperature=None, absorbing="bootstrap", hidden=(8,))
+    config = CORRECTED.change(temperature=None, hidden=(8,)).learner
     streams = Streams((0,))
-    sac = SAC(config, 3, 2, streams, Normaliser.identity(1, 3))
+    sac = SAC(config, 3, 2, streams, Normaliser.identity(1, 3), "bootstrap")
     obs = streams.normal(6, 3)
     obs = absorbing_state(obs) if there else obs
     zero = torch.zeros(1, 6)
     batch = Batch(obs, streams.normal(6, 2), obs, zero, zero)
     before = sac.log_alpha.item()
-    for _ in range(config.actor_delay):
-        sac.update(batch, zero, zero[:, :1], streams.normal(2, 6, 2).transpose(0, 1))
+    sac.update(batch, zero, zero[:, :1], streams.normal(2, 6, 2).transpose(0, 1), True)
     assert (sac.log_alpha.item() == before) == there
 
 
@@ -476,7 +563,7 @@ MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hi
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_of_a_composite_actor_all_learns_or_only_the_gate(fixed):
-    learner = make(**MCP, fixed_primitives=fixed, actor_delay=1)
+    learner = make(**MCP, fixed_primitives=fixed)
     before = learner.actor_params.detach().clone()
     for _ in range(3):
         update(learner, *data())

@@ -4,14 +4,14 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+import time
 from itertools import count, pairwise
 
 import pytest
 import torch
 
 from offairl_lite.core.acceleration import onednn_is_exact
-from offairl_lite.core.loop import CHUNK
+from offairl_lite.core.fitting import CHUNK
 from offairl_lite.envs import TASKS
 from offairl_lite.runs import bench, cli
 from offairl_lite.runs.bench import Contestant, Options, ours
@@ -156,7 +156,7 @@ def test_the_flop_of_a_combined_update_are_those_of_its_layers(population):
 
 def test_a_turn_lasts_and_a_ratio_is_that_of_its_round(monkeypatch):
     clock = iter(range(100))
-    monkeypatch.setattr(bench.time, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
     one, other = Contestant(lambda: None, 6), Contestant(lambda: None, 2)
     assert one.turn(3) == 6  # three times six in three seconds
     assert one.turn(0) == 6  # once at least
@@ -236,9 +236,9 @@ def test_the_cores_are_given_back():
 )
 def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monkeypatch, changes):
     small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
-    config = replace(tiny, **small, **changes)
+    config = tiny.change(**small, **changes)
     # A clock that goes on by a second whenever it is looked at.
-    monkeypatch.setattr(bench.time, "perf_counter", count().__next__)
+    monkeypatch.setattr(time, "perf_counter", count().__next__)
     every = changes.get("update_every", 20)
     evaluations = config.total_steps / config.eval_every
     seconds = config.total_steps / every + config.eval_episodes * evaluations

@@ -1,0 +1,81 @@
+"""Discriminators of every kind, small ones, and something to show them."""
+
+import torch
+
+from offairl_lite.ablations.bottleneck import Bottleneck
+from offairl_lite.ablations.penalties import SpectralNorm
+from offairl_lite.config import CORRECTED, RELEASE
+from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import SquashedGaussian
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Streams
+
+OBS, ACT, B, HORIZON = 3, 2, 4, 2
+SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
+CONFIGS = {
+    "r(s)": CORRECTED.change(**SMALL),
+    "r(s, a)": CORRECTED.change(reward="implementation-3", **SMALL),
+    "dac": CORRECTED.change(reward="dac", **SMALL),
+    "released r(s)": RELEASE.change(**SMALL),
+    "released r(s, a)": RELEASE.change(reward="implementation-3", **SMALL),
+    "dac on probability": CORRECTED.change(reward="dac", penalty_on="probability", **SMALL),
+    "r(s) of one number": CORRECTED.change(reward_sees=(1,), **SMALL),
+    "r(s, a) of two numbers": CORRECTED.change(
+        reward="implementation-3", reward_sees=(0, 2), **SMALL
+    ),
+    "one-sided r(s)": CORRECTED.change(penalty_sides="one", **SMALL),
+    "spectral r(s, a)": CORRECTED.change(reward="implementation-3", spectral_norm=True, **SMALL),
+    "bottleneck r(s)": CORRECTED.change(bottleneck=0.5, bottleneck_size=3, **SMALL),
+    "bottleneck dac": CORRECTED.change(reward="dac", bottleneck=0.5, **SMALL),
+    "gan-gcl": CORRECTED.change(reward="gan-gcl", generator="ppo", update_every=HORIZON, **SMALL),
+}
+AIRL = [name for name in CONFIGS if "r(s" in name]
+
+
+def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
+    """A discriminator with a random normaliser; double precision, unless it is to be trained."""
+    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
+    horizon = HORIZON if config.reward == "gan-gcl" else 1
+    kind = Discriminator.of(config)
+    made = kind(config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon)
+    if learning_rate is not None:
+        made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate
+    if dtype == torch.float64:
+        made.normaliser = Normaliser(*(part.double() for part in normaliser))
+        made.reward_params = made.reward_params.detach().double().requires_grad_()
+        made.value_params = made.value_params.detach().double().requires_grad_()
+        if isinstance(made, SpectralNorm):
+            made.vectors = [vectors.double() for vectors in made.vectors]
+        if isinstance(made, Bottleneck):
+            # Not 0, at which the divergence would not be felt.
+            made.multiplier = made.multiplier.double() + 0.7
+            made.quadrature = made.quadrature.double()
+    return made
+
+
+def data(seeds=(0, 1), batch=B, dtype=torch.float64, pre_tanh=None):
+    """Expert and policy transitions, log π of both, and the penalty's coefficients."""
+    streams = Streams([100 + seed for seed in seeds])
+    actor = SquashedGaussian(OBS, ACT, (5,), (-1.0, 1.0))
+    params = actor.init(Streams(seeds)).to(dtype)
+    sides, log_probs = [], []
+    for _ in range(2):
+        obs, noise, next_obs = (streams.normal(batch, n).to(dtype) for n in (OBS, ACT, OBS))
+        u = actor.sample(params, obs, noise)[0]
+        u = u if pre_tanh is None else torch.full_like(u, pre_tanh)
+        zero = torch.zeros_like(obs[..., 0])
+        sides.append(Batch(obs, u, next_obs, zero, zero))
+        log_probs.append(actor.log_prob(params, obs, u))
+    return *sides, *log_probs, streams.uniform(batch, 4).to(dtype)
+
+
+def apart(batches, shift=2.0):
+    """The same, with the expert somewhere else than the policy."""
+    expert, *rest = batches
+    return expert._replace(obs=expert.obs + shift, next_obs=expert.next_obs + shift), *rest
+
+
+def loss_of(discriminator, *batches):
+    """The loss, and diagnostics."""
+    return discriminator.loss(discriminator.judge(*batches))
