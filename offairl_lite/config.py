@@ -4,8 +4,8 @@
 mathematics done right. What the paper leaves unsaid is filled in from the released code.
 """
 
-from dataclasses import dataclass, fields
-from typing import Any, Literal, get_args, get_origin
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, Self, get_args, get_origin
 
 RewardName = Literal[
     "implementation-1",
@@ -353,6 +353,19 @@ class Config:
             raise ValueError(
                 f"start_steps is {self.start_steps}, and ppo learns from every step: set it to 0"
             )
+
+    def flat(self) -> dict[str, Any]:
+        """Return every field with its value."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def of(cls, **flat: Any) -> Self:
+        """Return the configuration of these fields; those that are left out have their defaults."""
+        return cls(**flat)
+
+    def change(self, **flat: Any) -> Self:
+        """Return this configuration with other values of some fields."""
+        return replace(self, **flat)
 
     @property
     def learns_reward(self) -> bool:

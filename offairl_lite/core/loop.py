@@ -9,7 +9,7 @@ the block of steps just taken, where the others learn from replay.
 import logging
 import operator
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
@@ -113,8 +113,8 @@ class Trainer:
         config: what to do.
         seeds: one for each member of the population.
         demonstrations: needed where a reward is learned.
-        reward: needed where `config.reward` is `frozen`: as many members as seeds.
-        policy: needed where `config.carry` is not `nothing`: as many members as seeds.
+        frozen_reward: needed where `config.reward` is `frozen`: as many members as seeds.
+        pretrained_policy: needed where `config.carry` is not `nothing`: as many members as seeds.
         guide: needed where `config.start_steps` is not 0: as many members as seeds.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
@@ -129,9 +129,9 @@ class Trainer:
         config: Config,
         seeds: Sequence[int],
         demonstrations: Demonstrations | None = None,
-        reward: Reward | None = None,
+        frozen_reward: Reward | None = None,
         *,
-        policy: Policy | None = None,
+        pretrained_policy: Policy | None = None,
         guide: Policy | None = None,
         execution: Execution = Execution(),  # noqa: B008
         replay_file: Path | None = None,
@@ -142,20 +142,24 @@ class Trainer:
         self.config, self.seeds, self.execution = config, seeds, execution
         self.device = torch.device(execution.device)
         torch.set_num_threads(execution.threads)
-        self.frozen_reward = None if reward is None else reward.to(self.device)
+        self.frozen_reward = None if frozen_reward is None else frozen_reward.to(self.device)
         if not seeds:
             raise ValueError("no seeds: give one for each member of the population")
         if len(set(seeds)) < len(seeds):
             raise ValueError(f"seeds are {self.seeds}: two members with one seed are the same")
         if config.learns_reward and demonstrations is None:
             raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
-        if (config.reward == "frozen") != (reward is not None):
+        if (config.reward == "frozen") != (frozen_reward is not None):
             raise ValueError(f"reward={config.reward!r} and a frozen reward go together")
-        if (config.carry != "nothing") != (policy is not None):
-            raise ValueError(f"carry={config.carry!r} and a policy to carry over go together")
+        if (config.carry != "nothing") != (pretrained_policy is not None):
+            raise ValueError(f"carry={config.carry!r} and a pretrained policy go together")
         if (config.start_steps > 0) != (guide is not None):
             raise ValueError(f"start_steps={config.start_steps} and a guide go together")
-        for what, given in (("frozen rewards", reward), ("policies", policy), ("guides", guide)):
+        for what, given in (
+            ("frozen rewards", frozen_reward),
+            ("pretrained policies", pretrained_policy),
+            ("guides", guide),
+        ):
             if given is not None and len(given) != len(seeds):
                 numbers = " ".join(map(str, range(len(given))))
                 raise ValueError(
@@ -176,8 +180,8 @@ class Trainer:
                 f"reward_sees is {config.reward_sees}; observations of {config.env_id} have "
                 f"{self.obs_dim} numbers, so expected are indices from 0 to {self.obs_dim - 1}"
             )
-        if reward is not None:
-            self._require_fit(reward)
+        if frozen_reward is not None:
+            self._require_fit(frozen_reward)
         self.replay = Replay(
             len(seeds),
             config.replay_size,
@@ -199,10 +203,10 @@ class Trainer:
         self.block_start, self.evaluated = 0, 0
         self.held = torch.zeros(len(seeds), self.action_dim, device=self.device)
         actor = stochastic_actor(config, self.obs_dim, self.action_dim)
-        if policy is not None and policy.actor != actor:
+        if pretrained_policy is not None and pretrained_policy.actor != actor:
             raise ValueError(
-                f"the policy to carry over is a {policy.actor}, and the actor of this run a "
-                f"{actor}: make the configurations the same"
+                f"the pretrained policy is a {pretrained_policy.actor}, and the actor of this run "
+                f"a {actor}: make the configurations the same"
             )
         dims = self.obs_dim, self.action_dim
         if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != dims:
@@ -210,7 +214,9 @@ class Trainer:
                 f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
                 f"{guide.actor.action_dim}; this run has {dims[0]} and {dims[1]}"
             )
-        self.carried = None if policy is None else policy.to(self.device)
+        self.pretrained_policy = (
+            None if pretrained_policy is None else pretrained_policy.to(self.device)
+        )
         self.guide = None if guide is None else guide.to(self.device)
         # For how many more steps the guide acts.
         self.guided = torch.zeros(len(seeds), dtype=torch.long)
@@ -266,6 +272,21 @@ class Trainer:
                         self.owed.clear()
                         self.block_start = self.steps
         return []
+
+    def run(self) -> Iterator[list[Row]]:
+        """Train to the end. Give way after each block of steps, its training and each evaluation.
+
+        Yields:
+            After an evaluation, a row for each member; otherwise nothing.
+
+        Raises:
+            FloatingPointError: every member has diverged.
+        """
+        while not self.finished:
+            at_step, start = self._due is None, self.block_start
+            rows = self.advance()
+            if not at_step or self.block_start != start:
+                yield rows
 
     def _require_fit(self, reward: Reward) -> None:
         """Raise ValueError if a frozen reward sees other numbers than this run has."""
@@ -423,8 +444,8 @@ class Trainer:
             self.discriminator.step = self.execution.accelerate(self.discriminator.step)
 
     def _carry_over(self) -> None:
-        """Put the carried policy's weights into the actor."""
-        params, own = self.carried.params, self.generator.actor_params.detach()
+        """Put the pretrained policy's weights into the actor."""
+        params, own = self.pretrained_policy.params, self.generator.actor_params.detach()
         if self.config.carry == "primitives":
             gate = self.generator.actor.gate.num_params
             params = torch.cat([params[:, :-gate], own[:, -gate:]], 1)
@@ -436,8 +457,8 @@ class Trainer:
         That even mixture is what the discriminator will look at. The absorbing state, which is no
         place on the map, is left out. A policy that is carried over brings its own scaling.
         """
-        if self.carried is not None:
-            return self.carried.normaliser
+        if self.pretrained_policy is not None:
+            return self.pretrained_policy.normaliser
         if not self.config.normalise:
             return Normaliser.identity(len(self.seeds), self.obs_dim, self.device)
         members = []
@@ -610,6 +631,11 @@ class Trainer:
         return (r * episodes.running).sum(-1)
 
     @property
+    def policy(self) -> Policy | None:
+        """The policies as they are now; None while the warm-up lasts."""
+        return None if self.generator is None else self.generator.policy
+
+    @property
     def reward(self) -> Reward | None:
         """The learned reward as it is now, or the frozen one; None with the task's own."""
         return self.frozen_reward if self.discriminator is None else self.discriminator.frozen
@@ -780,9 +806,9 @@ def train(
     config: Config,
     seeds: Sequence[int],
     demonstrations: Demonstrations | None = None,
-    reward: Reward | None = None,
+    frozen_reward: Reward | None = None,
     *,
-    policy: Policy | None = None,
+    pretrained_policy: Policy | None = None,
     guide: Policy | None = None,
     execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
@@ -794,8 +820,8 @@ def train(
         config: what to do.
         seeds: one for each member; the same seeds on the same machine give the same run.
         demonstrations: of the expert, where a reward is to be learned.
-        reward: a frozen reward, where `config.reward` is `frozen`.
-        policy: one to carry over, where `config.carry` says so.
+        frozen_reward: what pays, where `config.reward` is `frozen`.
+        pretrained_policy: what the actor begins with, where `config.carry` says so.
         guide: one that acts at the starts of episodes, where there are `config.start_steps`.
         execution: where and how it is computed.
         progress: whether to show a bar.
@@ -812,6 +838,11 @@ def train(
         if rows and on_evaluation is not None:
             on_evaluation(rows)
 
-    given = {"policy": policy, "guide": guide, "execution": execution}
-    with closing(Trainer(config, seeds, demonstrations, reward, **given)) as trainer:
+    given = {
+        "frozen_reward": frozen_reward,
+        "pretrained_policy": pretrained_policy,
+        "guide": guide,
+        "execution": execution,
+    }
+    with closing(Trainer(config, seeds, demonstrations, **given)) as trainer:
         return complete(trainer, progress, advanced)

@@ -55,13 +55,13 @@ from tqdm.auto import tqdm
 
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED, Config
-from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.envs import TASKS, BatchedEnv
 from offairl_lite.core.acceleration import Execution, compiler
 from offairl_lite.core.loop import CHUNK, Trainer
-from offairl_lite.runs.provenance import PACKAGES, processor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.envs import TASKS, BatchedEnv
+from offairl_lite.runs.provenance import PACKAGES, processor
 
 TASK = "HalfCheetah-v5"
 MEMBERS = 10

@@ -17,13 +17,15 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
 from offairl_lite import demonstrations, scale
-from offairl_lite.runs import jobs, tensorboard as logs, provenance, records, folders as runs, sweep
 from offairl_lite.analysis import films as video
-from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.config import Config
 from offairl_lite.core.acceleration import Execution, is_large
-from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.core.policies import Policy
+from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.runs import folders as runs
+from offairl_lite.runs import jobs, provenance, records, sweep
+from offairl_lite.runs import tensorboard as logs
+from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.scale import Scale
 
 

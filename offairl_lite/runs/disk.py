@@ -9,8 +9,8 @@ from pathlib import Path
 from offairl_lite import envs
 from offairl_lite.core.loop import replay_slots
 from offairl_lite.core.networks import StackedMLP
-from offairl_lite.runs.records import Plan
 from offairl_lite.core.sac import stochastic_actor
+from offairl_lite.runs.records import Plan
 
 
 def use(plan: Plan) -> int:

@@ -30,18 +30,29 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import demonstrations as data
-from offairl_lite.runs import disk
 from offairl_lite.config import Config
-from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.acceleration import Execution
+from offairl_lite.core.discriminator import Reward
 from offairl_lite.core.loop import Row, Trainer, complete
 from offairl_lite.core.networks import Normaliser, load_weights, save_weights
 from offairl_lite.core.policies import Policy
-from offairl_lite.runs.provenance import changed, origin
-from offairl_lite.runs.records import FORMAT, HEADER, Plan, lines, merged, read, read_json, require_format, write_json, write_whole
 from offairl_lite.core.replay import Replay
 from offairl_lite.core.rng import Streams
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.runs import disk
+from offairl_lite.runs.provenance import changed, origin
+from offairl_lite.runs.records import (
+    FORMAT,
+    HEADER,
+    Plan,
+    lines,
+    merged,
+    read,
+    read_json,
+    require_format,
+    write_json,
+    write_whole,
+)
 
 log = logging.getLogger(__name__)
 
@@ -109,7 +120,7 @@ def create(
     small = replace(config, replay_size=config.update_every or 1)
     small = config if config.reward == "gan-gcl" else small
     given = {"reward": reward, "policy": policy, "guide": guide}
-    Trainer(small, seeds, demonstrations, **given, execution=execution).close()
+    Trainer(small, seeds, demonstrations, **_named(given), execution=execution).close()
     inherited = {INHERITED[name]: thing for name, thing in given.items() if thing is not None}
     groups = np.array_split(np.array(seeds), min(shards, len(seeds)))
     shown = None
@@ -260,7 +271,7 @@ def verify(
         raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
     last = steps[evaluations - 1]
     shown = None if plan.demonstrations is None else _demonstrations(folder, plan)
-    inherited = _inherited(folder, plan, shard)
+    inherited = _named(_inherited(folder, plan, shard))
     again = []
     with (
         closing(Trainer(plan.config, shard, shown, **inherited, execution=execution)) as trainer,
@@ -408,7 +419,7 @@ class _Worker:
             self.plan.config,
             self.shard,
             demonstrations,
-            **_inherited(self.folder, self.plan, self.shard),
+            **_named(_inherited(self.folder, self.plan, self.shard)),
             execution=execution,
             replay_file=self.replay,
             memory=self.plan.checkpoint_every,
@@ -641,6 +652,12 @@ def _inherited(folder: Path, plan: Plan, shard: tuple[int, ...]) -> dict[str, Re
             )
     members = [*map(plan.seeds.index, shard)]
     return {name: thing.member(*members) for name, thing in found.items()}
+
+
+def _named(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a run has of others by the names of the trainer's parameters."""
+    names = {"reward": "frozen_reward", "policy": "pretrained_policy", "guide": "guide"}
+    return {names[name]: thing for name, thing in given.items()}
 
 
 def _heritable(config: Config) -> dict[str, type[Reward] | type[Policy]]:

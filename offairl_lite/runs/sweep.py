@@ -13,10 +13,11 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations
-from offairl_lite.runs import jobs, folders as runs
 from offairl_lite.config import Config, differences
 from offairl_lite.core.acceleration import Execution, fitting, is_large
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
+from offairl_lite.runs import folders as runs
+from offairl_lite.runs import jobs
 from offairl_lite.runs.records import Plan
 from offairl_lite.scale import Scale
 

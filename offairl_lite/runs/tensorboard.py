@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
-from offairl_lite.runs import records
 from offairl_lite.core.loop import Row
+from offairl_lite.runs import records
 
 POLL_S = 10.0
 """Seconds between two looks at a run that is followed."""

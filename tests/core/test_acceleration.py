@@ -150,7 +150,7 @@ def test_a_run_on_a_gpu_is_the_run_on_a_cpu_at_first(tiny, random_demonstrations
 def test_a_frozen_reward_serves_on_a_gpu(tiny, random_demonstrations):
     reward = train(tiny, (0, 1), random_demonstrations(MAZE), progress=False).reward
     frozen = replace(tiny, reward="frozen")
-    assert train(frozen, (0, 1), reward=reward, execution=Execution("cuda")).rows
+    assert train(frozen, (0, 1), frozen_reward=reward, execution=Execution("cuda")).rows
 
 
 @needs_gpu

@@ -954,7 +954,7 @@ def built(config, **given):
 def test_a_policy_that_is_carried_over_acts_as_before(tiny, kind):
     config = replace(tiny, reward="environment", carry="policy", **kind)
     policy = earlier_policy(config, 2, shift=0.3)
-    now = built(config, policy=policy).generator.policy
+    now = built(config, pretrained_policy=policy).generator.policy
     assert torch.equal(now.params, policy.params)
     obs = Streams((0, 1)).normal(5, 3)
     torch.testing.assert_close(now.act(obs), policy.act(obs))
@@ -963,7 +963,7 @@ def test_a_policy_that_is_carried_over_acts_as_before(tiny, kind):
 def test_primitives_are_carried_over_and_the_gate_begins_anew(tiny):
     config = replace(tiny, reward="environment", carry="primitives", **MCP)
     policy, fresh = earlier_policy(config, 2), built(replace(config, carry="nothing"))
-    carried = built(config, policy=policy).generator
+    carried = built(config, pretrained_policy=policy).generator
     *others, gate = carried.actor.split(carried.actor_params.detach())
     *expected, earlier_gate = carried.actor.split(policy.params)
     assert all(map(torch.equal, others, expected))
@@ -976,7 +976,7 @@ def test_of_a_carried_policy_only_the_gate_need_learn(tiny):
         tiny, reward="environment", carry="primitives", fixed_primitives=True, actor_delay=1, **MCP
     )
     policy = earlier_policy(config, 2)
-    end = run_with(config, policy=policy).policy
+    end = run_with(config, pretrained_policy=policy).policy
     before, after = (policy.actor.split(p.params) for p in (policy, end))
     assert all(map(torch.equal, after[:2], before[:2]))
     assert not torch.equal(after[2], before[2])
@@ -1029,8 +1029,8 @@ def test_for_how_long_a_guide_acts_is_uniform(tiny):
 @pytest.mark.parametrize(
     ("change", "given", "message"),
     [
-        ({"carry": "policy"}, (), "carry='policy' and a policy"),
-        ({}, ("policy",), "carry='nothing' and a policy"),
+        ({"carry": "policy"}, (), "carry='policy' and a pretrained policy"),
+        ({}, ("pretrained_policy",), "carry='nothing' and a pretrained policy"),
         ({"start_steps": 5}, (), "start_steps=5 and a guide"),
         ({}, ("guide",), "start_steps=0 and a guide"),
     ],
@@ -1043,10 +1043,10 @@ def test_what_comes_from_other_runs_is_needed_and_not_more(tiny, change, given, 
 
 def test_policies_must_be_as_many_and_of_the_architecture(tiny, maze):
     config = replace(tiny, reward="environment", carry="policy")
-    with pytest.raises(ValueError, match="3 policies for 2 seeds"):
-        Trainer(config, range(2), policy=earlier_policy(config, 3))
+    with pytest.raises(ValueError, match="3 pretrained policies for 2 seeds"):
+        Trainer(config, range(2), pretrained_policy=earlier_policy(config, 3))
     with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
-        Trainer(replace(config, **MCP), range(2), policy=earlier_policy(config, 2))
+        Trainer(replace(config, **MCP), range(2), pretrained_policy=earlier_policy(config, 2))
     seeing = replace(config, carry="nothing", start_steps=5, reward="dac", absorbing="bootstrap")
     with pytest.raises(ValueError, match="sees 3 numbers and gives 2; this run has 4 and 2"):
         Trainer(seeing, range(2), maze, guide=earlier_policy(config, 2))
