@@ -12,8 +12,8 @@ ORDER = """
 scale config core.rng core.acceleration envs tabular core.networks core.policies core.replay
 core.absorbing core.rollouts demonstrations core.rewards core.discriminator core.sac core.td3
 core.ppo core.loop experiments analysis.statistics analysis.epic analysis.plots analysis.films
-runs.records runs.tensorboard runs.provenance runs.disk runs.folders runs.jobs runs.sweep runs.bench
-runs.cli
+runs.records runs.tensorboard runs.provenance runs.inputs runs.checkpoints runs.folders runs.jobs
+runs.worker runs.grid runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"
