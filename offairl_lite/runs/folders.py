@@ -23,9 +23,9 @@ from tqdm.auto import tqdm
 
 from offairl_lite.config import Config
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.loop import Row, Trainer
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs

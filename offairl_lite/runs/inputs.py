@@ -14,8 +14,8 @@ from torch import Tensor
 
 from offairl_lite import demonstrations as data
 from offairl_lite.config import Config
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import records
 from offairl_lite.runs.records import RunSpec

@@ -27,10 +27,10 @@ from typing import Any, Self
 import torch
 
 from offairl_lite.config import Config, differences
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.loop import Row, Run
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 
 FORMAT = 3
 """Of run folders and checkpoints; it changes when older ones can no longer be read."""
