@@ -64,7 +64,10 @@ def largest(*runs: str, sizes: Iterable[Scale] = SIZES) -> Scale:
 
 def networks(run: str, size: Scale) -> str:
     """Say how large the networks of a run are."""
-    paper = recorded(run, size).config.hidden == CORRECTED.hidden
+    paper = (
+        recorded(run, size).config.learner.hidden
+        == CORRECTED.learner.hidden
+    )
     return "paper-size networks" if paper else "small networks"
 
 

@@ -111,7 +111,7 @@ def hours() -> float:
     paces = [
         records.read_json(path)["wall_s"]
         / len(records.read(path.parent).rows)
-        / records.read(path.parent).config.eval_every
+        / records.read(path.parent).config.schedule.eval_every
         for path in RECORDS.glob("locomotion-full/Hopper-*/run.json")
     ]
     return float(np.mean(paces)) * SEEDS * STEPS / 3600

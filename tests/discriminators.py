@@ -4,7 +4,8 @@ import torch
 
 from offairl_lite.ablations.bottleneck import Bottleneck
 from offairl_lite.ablations.penalties import SpectralNorm
-from offairl_lite.config import CORRECTED, RELEASE
+from offairl_lite.ablations.released import RELEASE
+from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import SquashedGaussian
@@ -19,16 +20,24 @@ CONFIGS = {
     "dac": CORRECTED.change(reward="dac", **SMALL),
     "released r(s)": RELEASE.change(**SMALL),
     "released r(s, a)": RELEASE.change(reward="implementation-3", **SMALL),
-    "dac on probability": CORRECTED.change(reward="dac", penalty_on="probability", **SMALL),
+    "dac on probability": CORRECTED.change(
+        reward="dac", ablation="penalty-on-probability", **SMALL
+    ),
     "r(s) of one number": CORRECTED.change(reward_sees=(1,), **SMALL),
     "r(s, a) of two numbers": CORRECTED.change(
         reward="implementation-3", reward_sees=(0, 2), **SMALL
     ),
-    "one-sided r(s)": CORRECTED.change(penalty_sides="one", **SMALL),
-    "spectral r(s, a)": CORRECTED.change(reward="implementation-3", spectral_norm=True, **SMALL),
-    "bottleneck r(s)": CORRECTED.change(bottleneck=0.5, bottleneck_size=3, **SMALL),
-    "bottleneck dac": CORRECTED.change(reward="dac", bottleneck=0.5, **SMALL),
-    "gan-gcl": CORRECTED.change(reward="gan-gcl", generator="ppo", update_every=HORIZON, **SMALL),
+    "one-sided r(s)": CORRECTED.change(ablation="one-sided", **SMALL),
+    "spectral r(s, a)": CORRECTED.change(
+        reward="implementation-3", ablation="spectral-norm", **SMALL
+    ),
+    "bottleneck r(s)": CORRECTED.change(
+        ablation="bottleneck", bottleneck=0.5, bottleneck_size=3, **SMALL
+    ),
+    "bottleneck dac": CORRECTED.change(
+        reward="dac", ablation="bottleneck", bottleneck=0.5, **SMALL
+    ),
+    "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", update_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]
 

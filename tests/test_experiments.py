@@ -1,13 +1,13 @@
 """The experiments: full scale is the paper's protocol, and what is not in it is named."""
 
 import itertools
-from dataclasses import replace
 
 import mujoco
 import pytest
 
 from offairl_lite import envs
-from offairl_lite.config import CORRECTED, PAPER, RELEASE, differences
+from offairl_lite.ablations.released import RELEASE
+from offairl_lite.config import CORRECTED, PAPER, differences
 from offairl_lite.experiments import EXPERIMENTS, configure, find
 
 SCALES = ("demo", "full")
@@ -17,10 +17,17 @@ SCALES = ("demo", "full")
 def test_full_scale_is_the_paper_s_protocol(name):
     config, seeds = EXPERIMENTS[name].configs["full"], EXPERIMENTS[name].seeds["full"]
     assert seeds == tuple(range(10))
-    assert (config.total_steps, config.eval_every, config.eval_episodes) == (1_000_000, 5_000, 10)
-    assert (config.hidden, config.learning_rate) == ((400, 300), 1e-3)
-    assert (config.reward_hidden, config.shaping_hidden) == ((100, 100), (100, 100))
-    assert config.discriminator_activation == "tanh"
+    assert (config.total_steps, config.schedule.eval_every, config.schedule.eval_episodes) == (
+        1_000_000,
+        5_000,
+        10,
+    )
+    assert (config.learner.hidden, config.learner.learning_rate) == ((400, 300), 1e-3)
+    assert (config.discriminator.reward_hidden, config.discriminator.shaping_hidden) == (
+        (100, 100),
+        (100, 100),
+    )
+    assert config.discriminator.activation == "tanh"
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -30,7 +37,7 @@ def test_demo_scale_is_small(name):
     # fewer than 50,000, and have three seeds. What decides between methods is seen later still.
     ants = name.startswith("ant-")
     most = {"what-decides": 100_000, "recipe": 500_000}
-    most = most.get(name, 60_000 if ants or config.generator == "ppo" else 20_000)
+    most = most.get(name, 60_000 if ants or config.learner.kind == "ppo" else 20_000)
     assert config.total_steps <= most
     assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if ants else 5)
 
@@ -38,7 +45,7 @@ def test_demo_scale_is_small(name):
 def test_experts_are_three_learners_on_the_eight_tasks_of_the_paper():
     experiment = find("experts")
     runs = {
-        name: replace(experiment.configs["full"], **changes)
+        name: experiment.configs["full"].change(**changes)
         for name, changes in experiment.variants.items()
     }
     assert len(runs) == 24
@@ -62,12 +69,15 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
     for name in ("maze-gail", "maze-airl-ppo", "hopper-gail"):
         experiment = find(name)
         for scale, config in experiment.configs.items():
-            assert (config.generator, config.replay_size) == ("ppo", config.update_every)
+            assert (config.learner.kind, config.schedule.replay_size) == (
+                "ppo",
+                config.schedule.update_every,
+            )
             for changes in experiment.variants.values():
-                assert set(differences(config, replace(config, **changes))) <= {"reward"}
-                rewards.add(replace(config, **changes).reward)
+                assert set(differences(config, config.change(**changes))) <= {"reward"}
+                rewards.add(config.change(**changes).reward)
             if scale == "demo":
-                assert config.total_steps % config.update_every == 0
+                assert config.total_steps % config.schedule.update_every == 0
     assert rewards == {
         *("gail-survival", "gail-termination", "dac", "gan-gcl"),
         *("implementation-1", "implementation-2"),
@@ -75,7 +85,7 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
 
 
 def test_the_velocity_of_the_ant_s_torso_is_where_the_reward_looks_for_it():
-    seen = configure("ant-rewards/implementation-4-velocity", "demo").reward_sees
+    seen = configure("ant-rewards/implementation-4-velocity", "demo").discriminator.reward_sees
     for env_id in ("offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"):
         # Observations are the positions, all but x and y, and then the velocities, of which a free
         # joint's linear ones come first.
@@ -98,16 +108,16 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
     for scale, config in experiment.configs.items():
         tasks = set()
         for name, changes in experiment.variants.items():
-            run = replace(config, **changes)
+            run = config.change(**changes)
             task, _, method = name.partition("-")
-            airl = replace(config, **experiment.variants[f"{task}-airl"])
+            airl = config.change(**experiment.variants[f"{task}-airl"])
             assert set(differences(run, airl)) == between[method]
             assert (run.reward == "dac") == method.startswith("dac")
             assert (run.absorbing == "bootstrap") == (task in ("Hopper", "Walker2d", "Ant"))
             tasks.add(run.env_id)
         assert len(tasks) == 5
         assert len(experiment.variants) == len(tasks) * len(between)
-        assert (config.temperature, config.update_every) == (None, 1_000), scale
+        assert (config.learner.temperature, config.schedule.update_every) == (None, 1_000), scale
 
 
 def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
@@ -117,8 +127,8 @@ def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
     for config in experiment.configs.values():
         for name, changes in experiment.variants.items():
             robot, loss, temperature, warmup = name.split("-")
-            run = replace(config, **changes)
-            recipe = replace(config, **experiment.variants[f"{robot}-released-fixed-short"])
+            run = config.change(**changes)
+            recipe = config.change(**experiment.variants[f"{robot}-released-fixed-short"])
             assert set(differences(run, recipe)) <= varied
             assert run.temperature == {"fixed": 0.2, "learned": None, "one": 1.0}[temperature]
             assert run.warmup_steps == {"short": 1_000, "long": 10_000}[warmup]
@@ -145,7 +155,7 @@ def test_the_recipe_is_what_decided():
 def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions_unless_helped(name):
     experiment, steps = find(name), {"maze-retraining": 100, "ant-transfer": 1_000}[name]
     for scale, config in experiment.configs.items():
-        runs = {v: replace(config, **changes) for v, changes in experiment.variants.items()}
+        runs = {v: config.change(**changes) for v, changes in experiment.variants.items()}
         assert {run.reward for run in runs.values()} == {"frozen"}
         for variant, run in runs.items():
             assert (run.carry == "nothing") == variant.startswith("scratch")
@@ -153,8 +163,8 @@ def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions_unless_helpe
             assert run.fixed_primitives == ("-gate" in variant)
             assert (run.start_steps > 0) == variant.endswith("-starts")
             if run.carry == "nothing" or variant.endswith("-helped"):
-                assert run.warmup_steps == config.warmup_steps
-                assert run.warmup_hold == config.warmup_hold
+                assert run.warmup_steps == config.schedule.warmup_steps
+                assert run.warmup_hold == config.schedule.warmup_hold
             else:
                 assert (run.warmup_steps, run.warmup_hold) == (steps, 1), scale
 
@@ -185,8 +195,8 @@ def test_entropy_is_counted_once_in_two_ways():
     experiment = find("maze-rewards")
     for scale, number in itertools.product(("demo", "full"), (1, 2)):
         twice, cold, soft, learned = (
-            replace(
-                experiment.configs[scale], **experiment.variants[f"implementation-{number}{form}"]
+            experiment.configs[scale].change(
+                **experiment.variants[f"implementation-{number}{form}"]
             )
             for form in ("", "-cold", "-soft", "-learned")
         )
@@ -208,7 +218,7 @@ def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else()
     for scale, config in experiment.configs.items():
         assert differences(config, imitation[scale]) == {}
         for changes in experiment.variants.values():
-            assert set(differences(config, replace(config, **changes))) <= bounds
+            assert set(differences(config, config.change(**changes))) <= bounds
 
 
 def test_what_the_maze_adds_to_the_corrected_preset():
@@ -218,18 +228,18 @@ def test_what_the_maze_adds_to_the_corrected_preset():
 
 @pytest.mark.parametrize("preset", [PAPER, RELEASE])
 def test_what_the_maze_needs_is_off_in_the_presets_of_paper_and_release(preset):
-    assert not preset.normalise
-    assert preset.warmup_hold == 1
-    assert preset.target_entropy is None
+    assert not preset.schedule.normalise
+    assert preset.schedule.warmup_hold == 1
+    assert preset.learner.target_entropy is None
 
 
 def test_both_scales_of_an_experiment_ask_the_same_question():
     for experiment in EXPERIMENTS.values():
         demo, full = experiment.configs["demo"], experiment.configs["full"]
-        assert (demo.env_id, demo.reward, demo.generator) == (
+        assert (demo.env_id, demo.reward, demo.learner.kind) == (
             full.env_id,
             full.reward,
-            full.generator,
+            full.learner.kind,
         )
         assert (experiment.reward_from is None) == (demo.reward != "frozen")
         if experiment.reward_from in EXPERIMENTS:  # all of its runs, or a single one
@@ -242,7 +252,7 @@ def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
     experiment = find("maze-transfer-rewards")
     transfer, expert = find("maze-transfer").configs["demo"], find("maze-expert").configs["demo"]
     runs = {
-        name: replace(experiment.configs["demo"], **changes)
+        name: experiment.configs["demo"].change(**changes)
         for name, changes in experiment.variants.items()
     }
     assert differences(transfer, runs["scratch"]) == {}
@@ -274,7 +284,7 @@ def test_an_unknown_experiment_lists_those_there_are():
 def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_nothing_else():
     experiment = find("hopper-absorbing")
     for scale, config in experiment.configs.items():
-        runs = [replace(config, **changes) for changes in experiment.variants.values()]
+        runs = [config.change(**changes) for changes in experiment.variants.values()]
         assert {(run.reward, run.absorbing) for run in runs} == {
             (reward, absorbing)
             for reward in ("dac", "implementation-4")
@@ -283,14 +293,14 @@ def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_no
         assert all(set(differences(config, run)) <= {"reward", "absorbing"} for run in runs)
         if scale == "full":
             dac = find("hopper-dac")
-            dac = replace(dac.configs[scale], **dac.variants["sac"])
+            dac = dac.configs[scale].change(**dac.variants["sac"])
             assert dac in runs
 
 
 def test_a_run_is_configured_by_its_name():
     experiment = find("maze-dac")
     for scale, config in experiment.configs.items():
-        assert configure("maze-dac/td3", scale) == replace(config, generator="td3")
+        assert configure("maze-dac/td3", scale) == config.change(learner="td3")
         assert configure("maze-expert", scale) is not None
     for wrong in ("maze-dac", "maze-dac/ppo", "maze-imitation/td3"):
         with pytest.raises(ValueError, match=f"no run '{wrong}'; there are: maze-"):

@@ -4,8 +4,6 @@ The other bars (off-policy AIRL on the maze, its reward after the wall has moved
 the runs are, in the chapter.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from offairl_lite.config import CORRECTED
@@ -33,8 +31,7 @@ def test_sac_swings_the_pendulum_up():
     ten had for a while unlearned it (-379 to -515), so the bar is for the median alone. At random
     the pendulum returns some -1,200.
     """
-    config = replace(
-        CORRECTED,
+    config = CORRECTED.change(
         env_id="Pendulum-v1",
         reward="environment",
         total_steps=8_000,

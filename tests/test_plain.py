@@ -1,7 +1,6 @@
 """The program of chapters 2 to 5: its mathematics, its training, and that `core` does the same."""
 
 import math
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -275,8 +274,7 @@ def test_a_seed_gives_the_same_run_whatever_the_global_state(random_demonstratio
 
 # What the comparison needs of `core` is in these four functions.
 
-CORE_CONFIG = replace(
-    CORRECTED, hidden=(64, 64), reward_hidden=(64, 64), shaping_hidden=(64, 64),
+CORE_CONFIG = CORRECTED.change(hidden=(64, 64), reward_hidden=(64, 64), shaping_hidden=(64, 64),
     temperature=None, target_entropy=-1.0, target_rate=0.01,
 )  # fmt: skip
 

@@ -365,8 +365,9 @@ def complete(
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         warnings.warn(
-            f"nothing was trained: no episode was over between step {trainer.schedule.warmup_steps}, "
-            f"the end of the warm-up, and step {trainer.steps}; raise total_steps",
+            "nothing was trained: no episode was over between step "
+            f"{trainer.schedule.warmup_steps}, the end of the warm-up, and step {trainer.steps}; "
+            "raise total_steps",
             stacklevel=2,
         )
     run.policy, run.reward = trainer.policy, trainer.reward

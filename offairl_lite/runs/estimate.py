@@ -43,7 +43,7 @@ def estimate(config: Config, members: int) -> float:
     every = schedule.update_every if config.learner.generator == "ppo" else 20
     short = config.change(
         reward="environment" if config.reward == "frozen" else config.reward,
-        carry="nothing",
+        pretrained="nothing",
         start_steps=0,
         warmup_steps=every,
         update_every=every,

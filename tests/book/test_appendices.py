@@ -13,7 +13,8 @@ from bs4 import BeautifulSoup
 from sphinx_external_toc.parsing import parse_toc_yaml
 
 import offairl_lite
-from offairl_lite.config import CORRECTED, RELEASE, RewardName, differences
+from offairl_lite.ablations.released import RELEASE
+from offairl_lite.config import CORRECTED, RewardName, differences
 
 ROOT = Path(__file__).parents[2]
 EMPTY = {f"offairl_lite.{package}" for package in ("core", "ablations", "analysis", "runs")}

@@ -2,7 +2,7 @@
 
 import ast
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
 
@@ -13,9 +13,8 @@ import torch
 
 from offairl_lite.config import CORRECTED, Config, differences
 from offairl_lite.core.networks import Normaliser, load_weights
-from offairl_lite.core.policies import Policy
+from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rng import Streams
-from offairl_lite.core.sac import stochastic_actor
 from offairl_lite.experiments import EXPERIMENTS, configure
 from offairl_lite.runs import inputs, records
 from offairl_lite.runs.provenance import PACKAGES
@@ -168,7 +167,7 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
     """With other policies: those that were carried over are not kept here."""
     cell = next(c for c in cells(ROOT / "book", "09_transfer") if c.id == "c9gate1")
     (recipe,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
-    actor = stochastic_actor(configure("maze-mcp/8-softmax", "demo"), 3, 2)
+    actor = make_actor(configure("maze-mcp/8-softmax", "demo").learner, 3, 2)
     policy = Policy("", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
     path = tmp_path / "runs/maze-mcp-full/8-softmax/policy.safetensors"
     path.parent.mkdir(parents=True)
@@ -250,7 +249,7 @@ def test_a_curve_has_all_that_its_run_has_evaluated(folder):
     for row in run.rows:
         assert row.seed in run.seeds
         assert row.step <= config.total_steps
-        assert len(row.returns) == config.eval_episodes
+        assert len(row.returns) == config.schedule.eval_episodes
         assert row.mean_return == pytest.approx(np.mean(row.returns))
     assert len({(row.seed, row.step) for row in run.rows}) == len(run.rows)
     if states == {"finished"}:
@@ -271,7 +270,7 @@ def test_what_a_figure_would_draw_is_a_record_of_that_run(run, scale):
     # Recorded under another name it is the same at full scale, but for what it is about.
     own = configure(run_of(folder, spec), "full")
     about = VARIED.get(folder, set()) - {"eval_every"}
-    own = replace(own, **{name: getattr(spec.config, name) for name in about})
+    own = own.change(**{name: getattr(spec.config, name) for name in about})
     assert differences(own, configure(run, "full")) == {}
 
 
@@ -287,8 +286,8 @@ def test_the_chapter_names_every_run_with_its_record(book):
     assert set(RUNS) <= set(said)
     for run in RUNS:
         scale = next(s for s in ("full", "demo") if record(run, s) in FOLDERS)
-        size = Plan.read(HOME / record(run, scale)).config.hidden
-        kind = "paper-size" if size == CORRECTED.hidden else "small"
+        size = Plan.read(HOME / record(run, scale)).config.learner.hidden
+        kind = "paper-size" if size == CORRECTED.learner.hidden else "small"
         assert said[run].startswith(f"{kind} networks, "), run
 
 

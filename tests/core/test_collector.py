@@ -1,7 +1,6 @@
 """Collecting: warm-up actions, the guide, absorbing states, and tasks that fail."""
 
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 
 import gymnasium
@@ -13,7 +12,7 @@ from offairl_lite.core import collector
 from offairl_lite.core.loop import Trainer, train
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -31,7 +30,7 @@ def end_episodes(trainer, terminated=(), truncated=()):
 
 def test_the_warm_up_holds_an_action_as_long_as_it_says(tiny):
     steps = {"warmup_steps": 1001, "total_steps": 1101}
-    trainer = Trainer(replace(tiny, reward="environment", warmup_hold=4.0, **steps), range(10))
+    trainer = Trainer(tiny.change(reward="environment", warmup_hold=4.0, **steps), range(10))
     for _ in range(1000):
         trainer.collector.step(None)
     actions = trainer.collector.replay.last(1000).pre_tanh
@@ -52,7 +51,7 @@ def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
     tiny, random_demonstrations, caplog, changes, warned
 ):
     collector._say_that_ends_matter.cache_clear()
-    config = replace(tiny, **{"env_id": HOPPER, "update_every": 50, **changes})
+    config = tiny.change(**{"env_id": HOPPER, "update_every": 50, **changes})
     shown = random_demonstrations(HOPPER) if config.learns_reward else None
     run(config, (0, 1), shown)
     assert len(caplog.messages) == warned
@@ -62,7 +61,7 @@ def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
 
 
 def test_the_absorbing_state_is_kept_for_the_member_that_came_to_it(tiny, random_demonstrations):
-    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="bootstrap")
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
     end_episodes(trainer, terminated=[1])
     trainer.collector.step(None)
@@ -77,7 +76,7 @@ def test_the_absorbing_state_is_kept_for_the_member_that_came_to_it(tiny, random
 
 
 def test_a_time_limit_makes_no_absorbing_state(tiny, maze, until):
-    trainer = Trainer(replace(tiny, absorbing="bootstrap"), (0, 1), maze)
+    trainer = Trainer(tiny.change(absorbing="bootstrap"), (0, 1), maze)
     until(trainer, lambda t: t.finished)
     replay = trainer.collector.replay
     assert replay.sizes == [200, 200]
@@ -92,7 +91,7 @@ def test_a_time_limit_makes_no_absorbing_state(tiny, maze, until):
 
 
 def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny, until, earlier_policy):
-    config = replace(tiny, reward="environment", start_steps=40, total_steps=400)
+    config = tiny.change(reward="environment", start_steps=40, total_steps=400)
     guide = earlier_policy(config, 2)
     trainer = Trainer(config, range(2), guide=guide)
     acting = trainer.collector
@@ -122,7 +121,7 @@ def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny, unti
 
 
 def test_for_how_long_a_guide_acts_is_uniform(tiny, earlier_policy):
-    config = replace(tiny, reward="environment", start_steps=3, update_every=50)
+    config = tiny.change(reward="environment", start_steps=3, update_every=50)
     trainer = Trainer(config, range(100), guide=earlier_policy(config, 100))
     end_episodes(trainer, truncated=range(100))
     counts = torch.zeros(4)
@@ -133,7 +132,7 @@ def test_for_how_long_a_guide_acts_is_uniform(tiny, earlier_policy):
 
 
 def test_a_guide_s_steps_are_drawn_only_for_members_whose_episodes_begin(tiny, earlier_policy):
-    config = replace(tiny, reward="environment", start_steps=40)
+    config = tiny.change(reward="environment", start_steps=40)
     ending, going_on = (
         Trainer(config, range(2), guide=earlier_policy(config, 2)) for _ in range(2)
     )
@@ -185,7 +184,7 @@ def test_a_first_observation_that_is_no_number_costs_one_member_too(faulty, tiny
         return np.full(3, np.nan if seed is None and self.ill else 0, np.float32), {}
 
     monkeypatch.setattr(Faulty, "reset", reset)
-    config = replace(tiny, env_id=faulty, reward="environment", update_every=20)
+    config = tiny.change(env_id=faulty, reward="environment", update_every=20)
     with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
         result = run(config, range(6))
     assert 0 < len(result.diverged) < 6
@@ -195,7 +194,7 @@ def test_a_first_observation_that_is_no_number_costs_one_member_too(faulty, tiny
 @pytest.mark.parametrize("warmup_steps", [20, 100])
 def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny, warmup_steps):
     changes = {"env_id": faulty, "reward": "environment", "update_every": 20}
-    config = replace(tiny, **changes, warmup_steps=warmup_steps)
+    config = tiny.change(**changes, warmup_steps=warmup_steps)
     with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
         result = run(config, range(6))
     assert 0 < len(result.diverged) < 6
@@ -207,6 +206,6 @@ def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny
 
 def test_environments_are_closed(faulty, tiny, monkeypatch):
     monkeypatch.setattr(Faulty, "closed", 0)
-    with closing(Trainer(replace(tiny, env_id=faulty, reward="environment"), range(4))):
+    with closing(Trainer(tiny.change(env_id=faulty, reward="environment"), range(4))):
         pass
     assert Faulty.closed == 4

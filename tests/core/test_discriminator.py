@@ -202,7 +202,7 @@ def test_the_corrected_gradient_depends_on_the_policy_and_the_released_does_not(
 def test_log_prob_is_asked_for_where_the_loss_has_it(reward):
     config = CONFIGS["gan-gcl"] if reward == "gan-gcl" else CONFIGS["r(s)"].change(reward=reward)
     assert make(config).needs_log_prob
-    released = make(config.change(policy_in_logit=False))
+    released = make(config.change(loss="released"))
     assert not released.needs_log_prob
     expert, policy, *logs, c = data()
     with_it, without = (loss_of(released, expert, policy, *x, c)[0] for x in (logs, (None, None)))

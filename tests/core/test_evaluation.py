@@ -1,6 +1,5 @@
 """Evaluations: whose episodes they are, what they count, and that they change nothing."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,7 +18,7 @@ def test_rows_are_of_their_member_s_own_episodes(tiny, frozen_reward):
     reward = frozen_reward(2, HOPPER, 11)
     reward.params.zero_()
     reward.params[:, reward.net.num_params - 5] = torch.tensor([1.0, 2.0])
-    config = replace(tiny, env_id=HOPPER, update_every=50, reward="frozen", eval_episodes=5)
+    config = tiny.change(env_id=HOPPER, update_every=50, reward="frozen", eval_episodes=5)
     result = run(config, (3, 7), None, reward)
     episodes = rollout(result.policy, HOPPER, (3, 7), 5)
     assert len(np.unique(episodes.lengths)) > 1
@@ -32,12 +31,12 @@ def test_the_learned_return_is_the_sum_of_the_reward_along_the_episode(tiny, fro
     reward = frozen_reward(1)
     reward.params.zero_()
     reward.params[:, reward.net.num_params - 5] = 2.0  # the last bias, followed by 4 weights
-    result = run(replace(tiny, reward="frozen"), (0,), None, reward)
+    result = run(tiny.change(reward="frozen"), (0,), None, reward)
     assert result.rows[-1].learned_return == pytest.approx(2.0 * 100)
 
 
 def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
-    often, rarely = (run(replace(tiny, eval_every=n), (0,), maze) for n in (50, 200))
+    often, rarely = (run(tiny.change(eval_every=n), (0,), maze) for n in (50, 200))
     assert torch.equal(often.policy.params, rarely.policy.params)
 
 
@@ -49,9 +48,9 @@ def test_what_an_evaluation_cannot_count_costs_one_member(tiny, monkeypatch):
 
     monkeypatch.setattr("offairl_lite.core.evaluation.rollout", broken)
     with pytest.warns(UserWarning, match=r"seed 5 diverged by step .*mend offairl/PointMazeLeft"):
-        result = run(replace(tiny, reward="environment"), (3, 5, 7))
+        result = run(tiny.change(reward="environment"), (3, 5, 7))
     assert list(result.diverged) == [5]
     assert {row.seed for row in result.rows} == {3, 7}
     monkeypatch.undo()
-    whole = run(replace(tiny, reward="environment"), (3, 5, 7))
+    whole = run(tiny.change(reward="environment"), (3, 5, 7))
     assert [row.returns for row in result.rows] == [r.returns for r in whole.rows if r.seed != 5]

@@ -16,7 +16,7 @@ from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -25,7 +25,7 @@ run = partial(train, progress=False)
 
 def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, record):
     updates, judged = record(SAC, "update"), record(Discriminator, "update")
-    run(replace(tiny, update_every=51, warmup_steps=51, total_steps=102), (0,), maze)
+    run(tiny.change(update_every=51, warmup_steps=51, total_steps=102), (0,), maze)
     assert len(updates) == len(judged) == 102
     assert {batch.obs.shape for batch, *_ in updates} == {(1, 8, 3)}
 
@@ -33,7 +33,7 @@ def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, 
 @pytest.mark.parametrize(("generator", "kind"), [("sac", SAC), ("td3", TD3)])
 def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, generator, kind):
     updates = record(kind, "update")
-    run(replace(tiny, reward="environment", generator=generator, update_every=31), (0,))
+    run(tiny.change(reward="environment", generator=generator, update_every=31), (0,))
     assert [delayed for *_, delayed in updates] == [False, True] * (6 * 31 // 2)
 
 
@@ -41,7 +41,7 @@ def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer
     tiny, maze, record, until
 ):
     seen = record(Discriminator, "update")
-    trainer = Trainer(replace(tiny, **ON_POLICY), (0,), maze)
+    trainer = Trainer(tiny.change(**ON_POLICY), (0,), maze)
     until(trainer, lambda t: seen)
     block = {tuple(row) for row in trainer.collector.replay.last(50).obs[0].tolist()}
     assert {tuple(row) for _, policy, *_ in seen for row in policy.obs[0].tolist()} <= block
@@ -50,7 +50,7 @@ def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer
 def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
     seen = record(Discriminator, "update")
     blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200, "total_steps": 300}
-    config = replace(tiny, **blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
+    config = tiny.change(**blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
     trainer = Trainer(config, (0, 1), maze)
     until(trainer, lambda t: seen)
     assert len(seen) == 3
@@ -79,7 +79,7 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
 
     monkeypatch.setattr(SAC, "log_prob", log_prob)
     seen, rewarded = record(Discriminator, "update"), record(Discriminator, "reward")
-    config = replace(tiny, reward="implementation-1", replay_density="mixture", replay_size=size)
+    config = tiny.change(reward="implementation-1", loss="mixture", replay_size=size)
     run(config, (0,), maze)
     for densities in [(args[2], args[3]) for args in seen], [(args[1],) for args in rewarded]:
         for given, w in (densities[0], 1.0), (densities[-1], share):
@@ -91,8 +91,8 @@ def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
     tiny, random_demonstrations, record
 ):
     seen = record(Discriminator, "update")
-    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="bootstrap")
-    config = replace(config, replay_density="mixture")
+    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    config = config.change(loss="mixture")
     run(config, (0,), random_demonstrations(HOPPER))
     there = torch.cat([absorbing.is_absorbing(policy.obs) for _, policy, *_ in seen], 1)
     density = torch.cat([log_prob for _, _, _, log_prob, _ in seen], 1)
@@ -103,7 +103,7 @@ def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
 
 def test_log_prob_is_that_of_before_the_block(tiny, maze, record, until):
     seen = record(SAC, "log_prob")
-    trainer = Trainer(replace(tiny, reward="implementation-1"), (0,), maze)
+    trainer = Trainer(tiny.change(reward="implementation-1"), (0,), maze)
     until(trainer, lambda t: t.trained == 100)
     # In two chunks: of both sides for the discriminator, and once for the reward.
     assert len(seen) == 2 * 2 + 2
@@ -117,21 +117,21 @@ def test_log_prob_is_that_of_before_the_block(tiny, maze, record, until):
 
 def test_a_reward_is_scaled(tiny, record):
     seen = record(SAC, "update")
-    run(replace(tiny, reward="environment", reward_scale=3.0), (0,))
+    run(tiny.change(reward="environment", reward_scale=3.0), (0,))
     assert seen
     assert all(torch.equal(reward, 3 * batch.reward) for batch, reward, *_ in seen)
 
 
 def test_a_centred_reward_has_no_constant(tiny, frozen_reward, until):
     """With another constant in the reward it is the same run, but for rounding."""
-    config, reward = replace(tiny, reward="frozen", centre_reward=True), frozen_reward(1)
+    config, reward = tiny.change(reward="frozen", centre_reward=True), frozen_reward(1)
     shifted = replace(reward, params=reward.params.clone())
     shifted.net.layers(shifted.params)[-1][0].add_(3)
     obs = Streams((0,)).normal(5, 3)
     torch.testing.assert_close(shifted(obs), reward(obs) + 3)
 
     def weights(reward, **changes):
-        trainer = Trainer(replace(config, **changes), (0,), None, reward)
+        trainer = Trainer(config.change(**changes), (0,), None, reward)
         until(trainer, lambda t: t.trained == 100)
         return trainer.models.learner.critic_params.detach()
 
@@ -144,11 +144,11 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
     tiny, random_demonstrations, record, until
 ):
     updates, found = record(SAC, "update"), []
-    config = replace(tiny, env_id=HOPPER, update_every=50, absorbing="analytic")
+    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="analytic")
     for centred in (False, True):
         updates.clear()
         trainer = Trainer(
-            replace(config, centre_reward=centred), (0, 1), random_demonstrations(HOPPER)
+            config.change(centre_reward=centred), (0, 1), random_demonstrations(HOPPER)
         )
         until(trainer, lambda t: t.trained == 50)
         found.append((torch.cat([reward for _, reward, *_ in updates], 1), updates[0][2]))
@@ -161,7 +161,7 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
 def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, record, until, reward):
     updates = record(SAC, "update")
     changes = {"env_id": HOPPER, "update_every": 50, "absorbing": "analytic"}
-    config = replace(tiny, **changes, reward=reward, reward_scale=2.0)
+    config = tiny.change(**changes, reward=reward, reward_scale=2.0)
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
     until(trainer, lambda t: t.trained == 50)
     there, zero = absorbing.absorbing_state(torch.empty(2, 1, 12)), torch.zeros(2, 1)

@@ -1,13 +1,12 @@
 """Algorithm 1: its schedule, its order, its reproducibility, divergence, going on from a state."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
-from offairl_lite.config import RELEASE
+from offairl_lite.ablations.released import RELEASE
 from offairl_lite.core import fitting
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator
@@ -18,7 +17,7 @@ from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -97,7 +96,7 @@ def test_a_run_can_be_ended_early_with_what_is_there(tiny, maze):
 def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
     # The same numbers are drawn; sums differ in their order only, which 400 updates of each
     # network leave far below 1e-3.
-    config = replace(tiny, total_steps=400, **changes)
+    config = tiny.change(total_steps=400, **changes)
     together, alone = run(config, (1, 3, 7), maze), run(config, (3,), maze)
     torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
     torch.testing.assert_close(together.reward.params[1:2], alone.reward.params, rtol=0, atol=1e-3)
@@ -112,7 +111,7 @@ def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
 @pytest.mark.parametrize("absorbing", ["none", "bootstrap", "analytic"])
 def test_a_member_trains_alone_where_episodes_end(tiny, random_demonstrations, absorbing):
     shown = random_demonstrations(HOPPER)
-    config = replace(tiny, env_id=HOPPER, temperature=None, update_every=50, absorbing=absorbing)
+    config = tiny.change(env_id=HOPPER, temperature=None, update_every=50, absorbing=absorbing)
     together, alone = (run(config, seeds, shown) for seeds in ((1, 3, 7), (3,)))
     assert together.rows[-1].episodes > 5
     torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
@@ -132,18 +131,18 @@ def test_seeds_may_be_an_array(tiny, maze):
 
 
 def test_blocks_of_an_episode_s_length_are_the_ends_of_episodes(tiny, maze):
-    assert_same(run(tiny, (0, 1), maze), run(replace(tiny, update_every=100), (0, 1), maze))
+    assert_same(run(tiny, (0, 1), maze), run(tiny.change(update_every=100), (0, 1), maze))
 
 
 def test_another_block_length_is_another_run(tiny, maze):
-    one, other = run(tiny, (0,), maze), run(replace(tiny, update_every=50), (0,), maze)
+    one, other = run(tiny, (0,), maze), run(tiny.change(update_every=50), (0,), maze)
     assert not torch.equal(one.policy.params, other.policy.params)
 
 
 def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_up(
     tiny, maze, record
 ):
-    config = replace(tiny, total_steps=400, warmup_steps=250, eval_every=50)
+    config = tiny.change(total_steps=400, warmup_steps=250, eval_every=50)
     trainer, updates = Trainer(config, (0, 1), maze), record(SAC, "update")
     done = [(rows[0].step, trainer.trained, len(updates)) for rows in trainer.run() if rows]
     assert done == [(250, 200, 200), (300, 300, 300), (350, 300, 300), (400, 400, 400)]
@@ -151,7 +150,7 @@ def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_u
 
 
 def test_a_run_pauses_after_each_block_and_each_evaluation(tiny, maze):
-    trainer = Trainer(replace(tiny, total_steps=300, warmup_steps=200), (0, 1), maze)
+    trainer = Trainer(tiny.change(total_steps=300, warmup_steps=200), (0, 1), maze)
     pauses = [(trainer.steps, trainer.trained, len(rows)) for rows in trainer.run()]
     warm_up, made_up = [(100, 0, 0), (200, 0, 0)], [(200, 100, 0), (200, 200, 0)]
     assert pauses == [*warm_up, *made_up, (200, 200, 2), (300, 300, 0), (300, 300, 2)]
@@ -183,15 +182,15 @@ def test_ppo_updates_so_many_epochs_of_minibatches_and_the_discriminator_as_told
     tiny, maze, monkeypatch
 ):
     order = order_of_updates(monkeypatch, Discriminator, PPO)
-    run(replace(tiny, **ON_POLICY, discriminator_updates=4), (0,), maze)
+    run(tiny.change(**ON_POLICY, discriminator_updates=4), (0,), maze)
     # 50 steps are six minibatches of 8, and one of 2.
     assert order == ([Discriminator] * 4 + [PPO] * EPOCHS * 7) * 2
 
 
 def test_ppo_learns_from_each_block_once_and_never_from_the_warm_up(tiny, record):
     seen = record(PPO, "rollout")
-    config = replace(tiny, reward="environment", **ON_POLICY, warmup_steps=70, total_steps=200)
-    trainer = Trainer(replace(config, replay_size=1000), (0, 1))
+    config = tiny.change(reward="environment", **ON_POLICY, warmup_steps=70, total_steps=200)
+    trainer = Trainer(config.change(replay_size=1000), (0, 1))
     finish(trainer)
     blocks = [block for block, _ in seen]
     # From step 70 on, in blocks of 50; the last 30 steps are no block.
@@ -209,8 +208,7 @@ def test_members_that_end_at_different_times_train_in_blocks(
     tiny, random_demonstrations, record, mode, generator
 ):
     updates = record({"sac": SAC, "td3": TD3}[generator], "update")
-    config = replace(
-        tiny,
+    config = tiny.change(
         env_id=HOPPER,
         update_every=50,
         absorbing=mode,
@@ -236,13 +234,13 @@ def test_members_that_end_at_different_times_train_in_blocks(
 
 
 def test_without_blocks_members_must_end_together(tiny):
-    config = replace(tiny, env_id=HOPPER, reward="environment")
+    config = tiny.change(env_id=HOPPER, reward="environment")
     with pytest.raises(ValueError, match=r"different times.*update_every"):
         run(config, (0, 1))
 
 
 def test_where_nothing_was_trained_it_is_said(tiny):
-    config = replace(tiny, reward="environment", total_steps=90, warmup_steps=50, update_every=None)
+    config = tiny.change(reward="environment", total_steps=90, warmup_steps=50, update_every=None)
     with pytest.warns(UserWarning, match=r"nothing was trained: .* step 50, .* and step 90; raise"):
         run(config, (3,))
 
@@ -256,10 +254,10 @@ def test_where_nothing_was_trained_it_is_said(tiny):
         {"reward": "implementation-1"},
         {"reward": "implementation-2", "log_density": "released"},
         {"reward": "implementation-3"},
-        {"reward": "dac", "generator": "td3"},
+        {"reward": "dac", "learner": "td3"},
         {"reward": "dac"},
         {"reward": "gail-survival"},
-        {"reward": "gail-termination", "generator": "td3"},
+        {"reward": "gail-termination", "learner": "td3"},
         {"reward": "gail-survival", **ON_POLICY},
         {"reward": "implementation-4", **ON_POLICY, "discriminator_updates": 5},
         {"warmup_hold": 5.0, "temperature": None},
@@ -267,7 +265,7 @@ def test_where_nothing_was_trained_it_is_said(tiny):
     ids=str,
 )
 def test_every_variant_trains_and_evaluates(tiny, maze, change):
-    result = run(replace(tiny, **change), (0, 1), maze)
+    result = run(tiny.change(**change), (0, 1), maze)
     assert result.steps.tolist() == [100, 200]
     assert result.returns.shape == (2, 2)
     assert all(np.isfinite(row.learned_return) for row in result.rows)
@@ -279,15 +277,15 @@ def test_every_variant_trains_and_evaluates(tiny, maze, change):
 
 
 def test_the_released_preset_trains(tiny, maze):
-    config = replace(
-        RELEASE, total_steps=200, warmup_steps=100, batch_size=8, hidden=(8,), eval_episodes=2
+    config = RELEASE.change(
+        total_steps=200, warmup_steps=100, batch_size=8, hidden=(8,), eval_episodes=2
     )
-    config = replace(config, reward_hidden=(8,), shaping_hidden=(8,))
+    config = config.change(reward_hidden=(8,), shaping_hidden=(8,))
     assert np.isfinite(run(config, (0,), maze).returns).all()
 
 
 def test_the_task_s_own_reward_needs_no_demonstrations(tiny):
-    result = run(replace(tiny, reward="environment"), (0,))
+    result = run(tiny.change(reward="environment"), (0,))
     assert result.reward is None
     assert np.isnan(result.rows[-1].learned_return)
 
@@ -295,7 +293,7 @@ def test_the_task_s_own_reward_needs_no_demonstrations(tiny):
 def test_a_frozen_reward_is_given_back_unchanged(tiny, frozen_reward):
     reward = frozen_reward(2)
     before = reward.params.clone()
-    result = run(replace(tiny, reward="frozen"), (0, 1), None, reward)
+    result = run(tiny.change(reward="frozen"), (0, 1), None, reward)
     assert torch.equal(result.reward.params, before)
 
 
@@ -309,7 +307,7 @@ def test_divergence_names_seed_step_and_tensor_and_spares_the_others(
     monkeypatch.setattr(fitting, "ACTOR_DELAY", delay)
     reward = frozen_reward(2)
     reward.params[1] = torch.nan
-    config = replace(tiny, reward="frozen")
+    config = tiny.change(reward="frozen")
     message = f"seed 7 diverged by step 100: its {tensor} is not finite"
     with pytest.warns(UserWarning, match=message):
         result = run(config, (3, 7), None, reward)
@@ -328,14 +326,14 @@ def test_divergence_names_seed_step_and_tensor_and_spares_the_others(
 def test_a_learned_temperature_is_among_what_may_have_diverged(tiny, frozen_reward, temperature):
     reward = frozen_reward(2)
     reward.params[1] = torch.nan
-    config = replace(tiny, reward="frozen", temperature=temperature)
+    config = tiny.change(reward="frozen", temperature=temperature)
     with pytest.warns(UserWarning, match="lower learning_rate"):
         why = run(config, (3, 7), None, reward).diverged[7]
     assert ("or set temperature" in why) == (temperature is None)
 
 
 def test_a_member_that_was_given_up_stays_at_zero(tiny, until):
-    config = replace(tiny, reward="environment", total_steps=400, eval_every=50)
+    config = tiny.change(reward="environment", total_steps=400, eval_every=50)
     trainer = Trainer(config, (3, 7))
     until(trainer, lambda t: t.steps == 150)
     trainer.models.learner.actor_params.data[1, 0] = torch.nan
@@ -370,7 +368,7 @@ def test_when_every_member_has_diverged_the_run_stops_and_its_rows_are_there(tin
         return original(self, *batch)
 
     monkeypatch.setattr(SAC, "update", update)
-    trainer = Trainer(replace(tiny, reward="environment"), (3, 7))
+    trainer = Trainer(tiny.change(reward="environment"), (3, 7))
     with (
         pytest.warns(UserWarning, match="diverged"),
         pytest.raises(FloatingPointError, match=r"seed 3 diverged by step 200.*seed 7"),
@@ -389,7 +387,7 @@ def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeyp
 
     monkeypatch.setattr(SquashedGaussian, "explore", explore)
     with pytest.warns(UserWarning, match="seed 3 diverged by step 100: its actions"):
-        result = run(replace(tiny, reward="environment"), (3, 7))
+        result = run(tiny.change(reward="environment"), (3, 7))
     assert list(result.diverged) == [3]
 
 
@@ -400,8 +398,8 @@ def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeyp
 def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
     tiny, tmp_path, earlier_policy, until, steps, trained
 ):
-    config = replace(tiny, reward="environment", update_every=31, eval_every=20)
-    config = replace(config, warmup_hold=5.0, start_steps=40)
+    config = tiny.change(reward="environment", update_every=31, eval_every=20)
+    config = config.change(warmup_hold=5.0, start_steps=40)
 
     def trainer():
         guide, path = earlier_policy(config, 2), tmp_path / "replay"
@@ -427,7 +425,7 @@ def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
         {"temperature": None},
         {"env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap", "replay_size": 60},
         {"env_id": HOPPER, "update_every": 30, "absorbing": "analytic", "reward": "dac"},
-        {"env_id": "Pendulum-v1", "reward": "environment", "generator": "td3", "update_every": 40},
+        {"env_id": "Pendulum-v1", "reward": "environment", "learner": "td3", "update_every": 40},
         {**ON_POLICY, "env_id": HOPPER, "reward": "gail-survival"},
         {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
     ],
@@ -441,7 +439,7 @@ def test_a_run_that_is_put_back_goes_the_same_way(
     It is put back where it paused first after so many steps and as many that were trained on: at
     the start, in the warm-up, and from there on between blocks as well as within one.
     """
-    config = replace(tiny, eval_every=25, **changes)
+    config = tiny.change(eval_every=25, **changes)
     given = random_demonstrations(config.env_id) if config.learns_reward else None
 
     def trainer():
@@ -465,7 +463,7 @@ def test_a_run_that_is_put_back_goes_the_same_way(
 
 
 def test_every_pause_is_a_place_to_go_on_from(tiny, maze, tmp_path):
-    config = replace(tiny, total_steps=120, warmup_steps=60, update_every=20, eval_every=30)
+    config = tiny.change(total_steps=120, warmup_steps=60, update_every=20, eval_every=30)
 
     def trainer():
         return Trainer(config, (0,), maze, replay_file=tmp_path / "replay", memory=200)

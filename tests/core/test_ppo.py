@@ -11,7 +11,7 @@ from offairl_lite.core.rng import Streams
 
 OBS, ACT, T = 3, 2, 12
 CONFIG = CORRECTED.change(
-    generator="ppo",
+    learner="ppo",
     reward="environment",
     update_every=T,
     temperature=0.01,
@@ -233,7 +233,7 @@ def test_the_first_policy_prefers_no_direction():
     obs = learner.normaliser(data(learner)[0].obs)
     mean, log_std = learner.actor.distribution(learner.actor_params, obs)
     assert mean.abs().max() < 0.05
-    low, high = CONFIG.log_std_range
+    low, high = CONFIG.learner.log_std_range
     torch.testing.assert_close(log_std, torch.full_like(mean, (low + high) / 2), rtol=0, atol=0.2)
 
 

@@ -1,6 +1,5 @@
 """What a run needs to be given, and what is refused."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +9,7 @@ from offairl_lite.core.loop import Trainer, train
 from offairl_lite.demonstrations import Demonstrations
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"generator": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
 MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
 run = partial(train, progress=False)
 
@@ -28,35 +27,35 @@ def test_no_seed_twice(tiny, maze):
 
 def test_an_unknown_task_is_refused(tiny):
     with pytest.raises(ValueError, match="unknown environment 'Nowhere-v0'"):
-        Trainer(replace(tiny, env_id="Nowhere-v0", reward="environment"), (0,))
+        Trainer(tiny.change(env_id="Nowhere-v0", reward="environment"), (0,))
 
 
 def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
     with pytest.raises(ValueError, match="'implementation-4' is learned from demonstrations"):
         Trainer(tiny, (0,))
-    right = replace(tiny, env_id="offairl/PointMazeRight-v0")
+    right = tiny.change(env_id="offairl/PointMazeRight-v0")
     with pytest.raises(ValueError, match=r"demonstrations of .*Left-v0 for a run on .*Right-v0"):
         Trainer(right, (0,), maze)
 
 
 def test_gan_gcl_is_for_episodes_of_one_length(tiny, maze, random_demonstrations):
-    config = replace(tiny, **ON_POLICY, reward="gan-gcl")
+    config = tiny.change(**ON_POLICY, reward="gan-gcl")
     with pytest.raises(ValueError, match=r"whole episodes of one length.*multiples"):
         Trainer(config, (0,), maze)
-    hopper = replace(config, env_id=HOPPER)
+    hopper = config.change(env_id=HOPPER)
     with pytest.raises(ValueError, match=r"whole episodes of one length: the demonstrations"):
         Trainer(hopper, (0,), random_demonstrations(HOPPER, episodes=3))
     # Demonstrations that are all of one length, on a task where ours are not.
     pendulum = random_demonstrations("Pendulum-v1")
     short = Demonstrations("Pendulum-v1", pendulum.transitions, (100,) * 4)
-    config = replace(config, env_id="Pendulum-v1", update_every=100, replay_size=100)
+    config = config.change(env_id="Pendulum-v1", update_every=100, replay_size=100)
     with pytest.raises(ValueError, match=r"100 as demonstrated, and Pendulum-v1 has ended"):
         run(config, (0,), short)
 
 
 def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
     with pytest.raises(ValueError, match=r"reward_sees is \(0, 3\); .* have 3 numbers"):
-        Trainer(replace(tiny, reward_sees=(0, 3)), (0,), maze)
+        Trainer(tiny.change(reward_sees=(0, 3)), (0,), maze)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +71,7 @@ def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
 def test_a_frozen_reward_of_other_observations_is_refused(
     tiny, frozen_reward, kind, obs_dim, gives, cure
 ):
-    frozen = replace(tiny, reward="frozen", absorbing=kind)
+    frozen = tiny.change(reward="frozen", absorbing=kind)
     message = f"sees {obs_dim} numbers; with absorbing='{kind}', .* gives {gives}: .*{cure}"
     with pytest.raises(ValueError, match=message):
         Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim))
@@ -80,14 +79,14 @@ def test_a_frozen_reward_of_other_observations_is_refused(
 
 @pytest.mark.parametrize("kind", ["none", "bootstrap"])
 def test_a_frozen_reward_of_other_actions_is_refused(tiny, frozen_reward, kind):
-    frozen, obs_dim = replace(tiny, reward="frozen", absorbing=kind), 3 + (kind != "none")
+    frozen, obs_dim = tiny.change(reward="frozen", absorbing=kind), 3 + (kind != "none")
     with pytest.raises(ValueError, match=r"Hopper-v5, with 3 actions, and .*Left-v0 has 2: give"):
         Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim, action_dim=3))
     assert len(run(frozen, (0,), None, frozen_reward(1, obs_dim=obs_dim, action_dim=2)).rows) == 2
 
 
 def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, frozen_reward):
-    frozen = replace(tiny, reward="frozen")
+    frozen = tiny.change(reward="frozen")
     with pytest.raises(ValueError, match=r"3 frozen rewards for 2 seeds: .* --seeds 0 1 2$"):
         Trainer(frozen, (0, 1), None, frozen_reward(3))
     with pytest.raises(ValueError, match="go together"):
@@ -99,7 +98,7 @@ def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, 
 @pytest.mark.parametrize(
     ("change", "given", "message"),
     [
-        ({"carry": "policy"}, (), "carry='policy' and a policy"),
+        ({"pretrained": "policy"}, (), "carry='policy' and a policy"),
         ({}, ("pretrained_policy",), "carry='nothing' and a policy"),
         ({"start_steps": 5}, (), "start_steps=5 and a guide"),
         ({}, ("guide",), "start_steps=0 and a guide"),
@@ -108,17 +107,17 @@ def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, 
 def test_what_comes_from_other_runs_is_needed_and_not_more(
     tiny, earlier_policy, change, given, message
 ):
-    config = replace(tiny, reward="environment", **change)
+    config = tiny.change(reward="environment", **change)
     with pytest.raises(ValueError, match=message):
         Trainer(config, (0,), **{name: earlier_policy(config, 1) for name in given})
 
 
 def test_policies_must_be_as_many_and_of_the_architecture(tiny, maze, earlier_policy):
-    config = replace(tiny, reward="environment", carry="policy")
+    config = tiny.change(reward="environment", pretrained="policy")
     with pytest.raises(ValueError, match="3 policies for 2 seeds"):
         Trainer(config, range(2), pretrained_policy=earlier_policy(config, 3))
     with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
-        Trainer(replace(config, **MCP), range(2), pretrained_policy=earlier_policy(config, 2))
-    seeing = replace(config, carry="nothing", start_steps=5, reward="dac", absorbing="bootstrap")
+        Trainer(config.change(**MCP), range(2), pretrained_policy=earlier_policy(config, 2))
+    seeing = config.change(pretrained="nothing", start_steps=5, reward="dac", absorbing="bootstrap")
     with pytest.raises(ValueError, match="sees 3 numbers and gives 2; this run has 4 and 2"):
         Trainer(seeing, range(2), maze, guide=earlier_policy(config, 2))

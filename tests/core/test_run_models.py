@@ -1,6 +1,5 @@
 """The networks of a run: when they are made, what scales their inputs, and where they start."""
 
-from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -44,7 +43,7 @@ def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze, unt
     for part, wanted in zip(trainer.models.learner.normaliser, expected, strict=True):
         torch.testing.assert_close(part, wanted)
     assert trainer.models.discriminator.normaliser is trainer.models.learner.normaliser
-    plain = Trainer(replace(tiny, normalise=False), (0,), maze)
+    plain = Trainer(tiny.change(normalise=False), (0,), maze)
     until(plain, lambda t: t.models is not None)
     assert (plain.models.learner.normaliser.mean == 0).all()
     assert (plain.models.learner.normaliser.std == 1).all()
@@ -56,7 +55,7 @@ def built(until):
 
     def build(config, **given):
         # The warm-up ends within an episode, where there is nothing to train on.
-        config = replace(config, warmup_steps=90, eval_every=90)
+        config = config.change(warmup_steps=90, eval_every=90)
         trainer = Trainer(config, range(2), **given)
         until(trainer, lambda t: t.models is not None)
         assert (trainer.steps, trainer.trained) == (90, 0)
@@ -67,7 +66,7 @@ def built(until):
 
 @pytest.mark.parametrize("kind", [{}, MCP])
 def test_a_pretrained_policy_acts_as_before(tiny, built, earlier_policy, kind):
-    config = replace(tiny, reward="environment", carry="policy", **kind)
+    config = tiny.change(reward="environment", pretrained="policy", **kind)
     policy = earlier_policy(config, 2, shift=0.3)
     now = built(config, pretrained_policy=policy).policy
     assert torch.equal(now.params, policy.params)
@@ -76,9 +75,9 @@ def test_a_pretrained_policy_acts_as_before(tiny, built, earlier_policy, kind):
 
 
 def test_primitives_are_carried_over_and_the_gate_begins_anew(tiny, built, earlier_policy):
-    config = replace(tiny, reward="environment", carry="primitives", **MCP)
+    config = tiny.change(reward="environment", pretrained="primitives", **MCP)
     policy = earlier_policy(config, 2)
-    fresh = built(replace(config, carry="nothing")).learner
+    fresh = built(config.change(pretrained="nothing")).learner
     carried = built(config, pretrained_policy=policy).learner
     *others, gate = carried.actor.split(carried.actor_params.detach())
     *expected, earlier_gate = carried.actor.split(policy.params)
@@ -88,7 +87,9 @@ def test_primitives_are_carried_over_and_the_gate_begins_anew(tiny, built, earli
 
 
 def test_of_a_pretrained_policy_only_the_gate_need_learn(tiny, earlier_policy):
-    config = replace(tiny, reward="environment", carry="primitives", fixed_primitives=True, **MCP)
+    config = tiny.change(
+        reward="environment", pretrained="primitives", fixed_primitives=True, **MCP
+    )
     policy = earlier_policy(config, 2)
     end = run(config, range(2), pretrained_policy=policy).policy
     before, after = (policy.actor.split(p.params) for p in (policy, end))

@@ -224,7 +224,7 @@ def test_sac_s_actor_climbs_the_smaller_critic_and_td3_s_the_first(learner, sign
     batch, reward, noise = data()
     update(learner, batch, reward, 0 * noise)
     # A first step of Adam has the length of the learning rate.
-    moved = torch.full((2, ACT), sign * CONFIG.learning_rate)
+    moved = torch.full((2, ACT), sign * CONFIG.learner.learning_rate)
     torch.testing.assert_close(learner.actor_params.detach()[:, :ACT], moved, rtol=1e-4, atol=0)
 
 
@@ -235,7 +235,7 @@ def test_the_temperature_s_first_step_by_hand():
         learner.actor_params.detach().copy_(constant_policy(learner, 0.0))
         batch, reward, noise = data()
         update(learner, batch, reward, 0 * noise)
-        expected = torch.full((2, 1), math.log(0.2) + sign * CONFIG.learning_rate)
+        expected = torch.full((2, 1), math.log(0.2) + sign * CONFIG.learner.learning_rate)
         torch.testing.assert_close(learner.log_alpha.detach(), expected)
 
 
@@ -548,7 +548,7 @@ def test_a_member_s_data_changes_no_other_member(learner):
 def test_the_temperature_does_not_look_at_the_absorbing_state(there):
     config = CORRECTED.change(temperature=None, hidden=(8,)).learner
     streams = Streams((0,))
-    sac = SAC(config, 3, 2, streams, Normaliser.identity(1, 3), "bootstrap")
+    sac = SAC(config.learner, 3, 2, streams, Normaliser.identity(1, 3), "bootstrap")
     obs = streams.normal(6, 3)
     obs = absorbing_state(obs) if there else obs
     zero = torch.zeros(1, 6)

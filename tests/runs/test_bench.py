@@ -229,8 +229,8 @@ def test_the_cores_are_given_back():
     "changes",
     [
         {"reward": "implementation-2"},
-        {"reward": "frozen", "carry": "primitives", "primitives": 2, "start_steps": 20},
-        {"generator": "ppo", "update_every": 40, "reward": "gail-survival"},
+        {"reward": "frozen", "pretrained": "primitives", "primitives": 2, "start_steps": 20},
+        {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
@@ -240,6 +240,6 @@ def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monk
     # A clock that goes on by a second whenever it is looked at.
     monkeypatch.setattr(time, "perf_counter", count().__next__)
     every = changes.get("update_every", 20)
-    evaluations = config.total_steps / config.eval_every
-    seconds = config.total_steps / every + config.eval_episodes * evaluations
+    evaluations = config.total_steps / config.schedule.eval_every
+    seconds = config.total_steps / every + config.schedule.eval_episodes * evaluations
     assert bench.estimate(config, 2) == pytest.approx(seconds)

@@ -134,9 +134,9 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     folder = elsewhere / "runs" / "maze-imitation-demo"
     run = read(folder)
     assert (run.seeds, run.steps.tolist()) == ((0, 1), [100, 200])
-    assert (run.config.batch_size, run.config.hidden) == (8, (8,))
+    assert (run.config.schedule.batch_size, run.config.learner.hidden) == (8, (8,))
     # What was not asked for is the experiment's own.
-    assert (run.config.temperature, run.config.warmup_hold) == (None, 10.0)
+    assert (run.config.learner.temperature, run.config.schedule.warmup_hold) == (None, 10.0)
     assert json.loads((folder / "run.json").read_text())["state"] == "finished"
     out = capsys.readouterr().out
     assert "takes up to 16.8 MB of disk, mostly replay; updates: not compiled" in out
@@ -152,7 +152,7 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
     given = f"--frozen-reward {reward} --carry policy --pretrained-policy {policy} --start-steps 20"
     offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
-    assert read(elsewhere / "carried").config.start_steps == 20
+    assert read(elsewhere / "carried").config.schedule.start_steps == 20
     sources = RunSpec.read(elsewhere / "carried").inherited
     files = {name: about["files"] for name, about in sources.items()}
     assert files == dict(
@@ -210,7 +210,7 @@ def test_a_task_and_data_of_one_s_own(capsys, write_dataset, elsewhere):
     )
     run = read(elsewhere / "mine")
     assert run.config.env_id == run.policy.env_id == "Pendulum-v1"
-    assert (run.config.update_every, len(run.rows)) == (50, 4)
+    assert (run.config.schedule.update_every, len(run.rows)) == (50, 4)
 
 
 def test_the_scale_decides_the_defaults(capsys, monkeypatch):

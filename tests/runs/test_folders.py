@@ -20,11 +20,11 @@ from safetensors.torch import load_file, save_file
 from offairl_lite.core import networks
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
-from offairl_lite.core.policies import Policy
+from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
-from offairl_lite.core.sac import SAC, stochastic_actor
+from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.runs import checkpoints, folders, inputs, provenance, records, worker
 
@@ -39,8 +39,8 @@ PROCESSES.set_forkserver_preload(["offairl_lite.runs.worker"])
 @pytest.fixture
 def plain(tiny):
     """SAC on the true reward: the fastest run there is."""
-    config = replace(tiny, reward="environment", update_every=20, eval_episodes=1)
-    return replace(config, total_steps=100, warmup_steps=40, eval_every=50)
+    config = tiny.change(reward="environment", update_every=20, eval_episodes=1)
+    return config.change(total_steps=100, warmup_steps=40, eval_every=50)
 
 
 @pytest.fixture
@@ -187,21 +187,21 @@ def given(tmp_path, random_demonstrations):
 HOP = {"env_id": HOPPER, "update_every": 50, "replay_size": 60}
 KILLED = {
     "sac": {"reward": "environment"},
-    "td3 and dac": {"reward": "dac", "generator": "td3", "replay_size": 60},
+    "td3 and dac": {"reward": "dac", "learner": "td3", "replay_size": 60},
     "airl and a learned temperature": {"reward": "implementation-4", "temperature": None},
-    "no absorbing state": {**HOP, "reward": "dac", "generator": "td3"},
+    "no absorbing state": {**HOP, "reward": "dac", "learner": "td3"},
     "bootstrapped": {**HOP, "reward": "implementation-1", "absorbing": "bootstrap"},
     "analytic": {**HOP, "reward": "dac", "absorbing": "analytic", "temperature": None},
     "pendulum": {"env_id": "Pendulum-v1", "reward": "environment", "update_every": 50},
-    "all from other runs": {"reward": "frozen", "carry": "primitives", "start_steps": 30}
+    "all from other runs": {"reward": "frozen", "pretrained": "primitives", "start_steps": 30}
     | {"primitives": 2, "trunk_hidden": (8,), "primitive_hidden": (), "gate_hidden": (8,)},
-    "gail and ppo": {**HOP, "reward": "gail-survival", "generator": "ppo"},
+    "gail and ppo": {**HOP, "reward": "gail-survival", "learner": "ppo"},
 }
 
 
 @pytest.mark.parametrize("case", KILLED)
 def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plain, given, tmp_path):
-    config = replace(tiny, total_steps=300, **KILLED[case])
+    config = tiny.change(total_steps=300, **KILLED[case])
     demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
     rng = np.random.default_rng(list(KILLED).index(case))
 
@@ -236,7 +236,7 @@ def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plai
     "moment", ["half a checkpoint", "before the swap", "after the swap", "in a row"]
 )
 def test_a_run_that_is_killed_at_the_worst_moments_is_the_same_run(moment, plain, tmp_path):
-    config = replace(plain, eval_every=25)
+    config = plain.change(eval_every=25)
     whole = run(tmp_path / "whole", config)
     folder = tmp_path / "killed"
     folders.create(folder, config, SEEDS, checkpoint_every=40)
@@ -304,8 +304,8 @@ def test_the_manifest_says_what_made_the_run(interrupted, folder):
 
 @pytest.mark.parametrize("replay_size", [1_000_000, 60])
 def test_an_extended_run_is_the_longer_run(replay_size, plain, tmp_path):
-    config = replace(plain, replay_size=replay_size)
-    whole = run(tmp_path / "whole", replace(config, total_steps=200))
+    config = plain.change(replay_size=replay_size)
+    whole = run(tmp_path / "whole", config.change(total_steps=200))
     folder = run(tmp_path / "extended", config)
     folders.extend(folder, 200)
     assert manifest(folder)["state"] == "waiting"
@@ -370,7 +370,7 @@ def frozen_reward(members):
 
 def policy(config):
     """A policy that has not learned anything, of two members."""
-    actor = stochastic_actor(config, 3, 2)
+    actor = make_actor(config.learner, 3, 2)
     return Policy(MAZE, actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
 
 
@@ -378,12 +378,12 @@ def inherited(config):
     """What a run of two members has of other runs."""
     if config.reward != "frozen":
         return {}
-    guide = policy(replace(config, primitives=None, carry="nothing"))
+    guide = policy(config.change(primitives=None, pretrained="nothing"))
     return {"frozen_reward": frozen_reward(2), "pretrained_policy": policy(config), "guide": guide}
 
 
 def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
-    config = replace(plain, carry="policy", start_steps=20)
+    config = plain.change(pretrained="policy", start_steps=20)
     folder, given = tmp_path / "run", {"pretrained_policy": policy(plain), "guide": policy(plain)}
     folders.create(folder, config, SEEDS, checkpoint_every=40, **given)
     resume(folder)
@@ -411,7 +411,7 @@ def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folde
 
 
 def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
-    config, reward = replace(plain, reward="frozen"), frozen_reward(3)
+    config, reward = plain.change(reward="frozen"), frozen_reward(3)
     folder = tmp_path / "run"
     folders.create(folder, config, (3, 7, 5), frozen_reward=reward, checkpoint_every=40)
     resume(folder)
@@ -428,14 +428,14 @@ def test_guides_of_several_files_take_turns(plain, tmp_path):
     guides = policy(plain)
     for member in (0, 1):
         guides.member(member).save(tmp_path / str(member))
-    config = replace(plain, start_steps=20)
+    config = plain.change(start_steps=20)
     files = tmp_path / "1", tmp_path / "0"
     given = inputs.load(config, (3, 7, 5, 9, 2), guide=files)["guide"]
     assert torch.equal(given.params, guides.params[[1, 0, 1, 0, 1]])
 
 
 def test_rewards_of_several_files_are_one_population(plain, tmp_path):
-    config, reward = replace(plain, reward="frozen"), frozen_reward(3)
+    config, reward = plain.change(reward="frozen"), frozen_reward(3)
     reward.member(0, 1).save(tmp_path / "two")
     reward.member(2).save(tmp_path / "one")
     files = tmp_path / "two", tmp_path / "one"
@@ -499,9 +499,9 @@ def test_any_damaged_byte_of_a_checkpoint_is_noticed(interrupted, folder):
 def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_path):
     other = tmp_path / "other"
     for config, seeds, message in [
-        (replace(plain, discount=0.5), SEEDS, "of another run than .*: discount was 0.5, is 0.99;"),
+        (plain.change(discount=0.5), SEEDS, "of another run than .*: discount was 0.5, is 0.99;"),
         (plain, (4, 5), r"seeds was \[4, 5\], is \[3, 7\]; put back"),
-        (replace(plain, total_steps=200), SEEDS, "replay.f32 is damaged: it had"),
+        (plain.change(total_steps=200), SEEDS, "replay.f32 is damaged: it had"),
         (plain, SEEDS, "replay.f32 is damaged: it is not as it was at the checkpoint"),
     ]:
         run(other, config, seeds=seeds)
@@ -575,7 +575,7 @@ def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipp
 
 def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset):
     name = write_dataset("my/pendulum-v0").spec.dataset_id
-    config = replace(tiny, env_id="Pendulum-v1")
+    config = tiny.change(env_id="Pendulum-v1")
     thin = load(config.env_id, 2, name, subsample=20, experts=1)
     folders.create(folder, config, SEEDS, demonstrations=thin)
     assert records.RunSpec.read(folder).demonstrations["experts"] is None
@@ -585,7 +585,7 @@ def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset)
 
 def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_dataset):
     name = write_dataset("my/pendulum-v0").spec.dataset_id
-    config = replace(tiny, env_id="Pendulum-v1")
+    config = tiny.change(env_id="Pendulum-v1")
     whole = load(config.env_id, 2, name)
     folders.create(folder, config, SEEDS, demonstrations=whole)
     about = json.loads((folder / "config.json").read_text())
@@ -617,7 +617,7 @@ def test_nothing_is_overwritten(interrupted, folder, plain):
 
 
 def test_two_processes_do_not_share_a_run_folder(folder, plain):
-    folders.create(folder, replace(plain, total_steps=100_000), SEEDS)
+    folders.create(folder, plain.change(total_steps=100_000), SEEDS)
     process = start(folder, None, None, 0)
     while manifest(folder)["state"] != "running":
         time.sleep(0.01)
@@ -698,7 +698,7 @@ def test_what_would_not_be_used_is_refused(what, plain, tmp_path):
     files = {what.replace("-", "_"): (tmp_path / "policy.safetensors",)}
     with pytest.raises(ValueError, match=rf"--{what} .*policy.safetensors would not be used: add "):
         inputs.require_use([plain], **files)
-    uses = replace(plain, reward="frozen", carry="policy", start_steps=20)
+    uses = plain.change(reward="frozen", pretrained="policy", start_steps=20)
     inputs.require_use([plain, uses], **files)
     inputs.require_use([plain], **{what.replace("-", "_"): ()})
 
@@ -706,7 +706,7 @@ def test_what_would_not_be_used_is_refused(what, plain, tmp_path):
 def test_a_run_s_folder_stands_for_what_it_has(plain, tmp_path):
     frozen_reward(2).save(tmp_path / "reward.safetensors")
     policy(plain).save(tmp_path / "policy.safetensors")
-    config = replace(plain, reward="frozen", carry="policy")
+    config = plain.change(reward="frozen", pretrained="policy")
     found = inputs.load(config, SEEDS, frozen_reward=[tmp_path], pretrained_policy=[tmp_path])
     assert torch.equal(found["frozen_reward"].params, frozen_reward(2).params)
     assert torch.equal(found["pretrained_policy"].params, policy(plain).params)
@@ -753,7 +753,7 @@ def test_a_full_disk_loses_nothing(module, name, folder, plain, tmp_path, monkey
 
 @pytest.mark.parametrize("case", KILLED)
 def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
-    config = replace(tiny, **KILLED[case])
+    config = tiny.change(**KILLED[case])
     demonstrations = given(config.env_id)[0] if config.learns_reward else None
     run(folder, config, demonstrations=demonstrations, **inherited(config))
     used = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
@@ -782,7 +782,7 @@ def diverging(*members):
 
 def test_a_member_that_diverges_is_given_up_alone(folder, plain, monkeypatch):
     monkeypatch.setattr(SAC, "update", diverging(1))
-    folders.create(folder, replace(plain, total_steps=150), SEEDS, checkpoint_every=40)
+    folders.create(folder, plain.change(total_steps=150), SEEDS, checkpoint_every=40)
     with pytest.warns(UserWarning, match="seed 7 diverged by step 80"):
         resume(folder)
     run = records.read(folder)
@@ -815,7 +815,7 @@ def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypat
 
 
 def test_a_record_is_verified_without_its_checkpoints(plain, folder):
-    run(folder, replace(plain, total_steps=150))
+    run(folder, plain.change(total_steps=150))
     shutil.rmtree(folder / "state")
     recorded = records.read(folder).rows
     for evaluations in (1, 3):
@@ -864,7 +864,7 @@ def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrat
         folders.verify(folder)
     policy = Trainer(plain, SEEDS)
     next(rows for rows in policy.run() if policy.policy is not None)
-    run(folder, replace(plain, carry="policy"), pretrained_policy=policy.policy)
+    run(folder, plain.change(pretrained="policy"), pretrained_policy=policy.policy)
     assert len(folders.verify(folder, progress=False)) == 2
     (folder / "pretrained_policy.safetensors").unlink()
     with pytest.raises(FileNotFoundError, match=r"pretrained_policy\.safetensors"):
@@ -872,7 +872,7 @@ def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrat
 
 
 def test_a_record_finds_what_it_had_of_other_runs_where_it_was(plain, folder, tmp_path):
-    config = replace(plain, reward="frozen", carry="policy", start_steps=20)
+    config = plain.change(reward="frozen", pretrained="policy", start_steps=20)
     sources = {name: (tmp_path / name,) for name in inputs.CURES}
     frozen_reward(2).save(*sources["frozen_reward"])
     policy(plain).save(*sources["pretrained_policy"])

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import pytest
 
 from offairl_lite.config import CORRECTED
@@ -14,7 +12,7 @@ def test_a_grid_is_the_product_of_its_values():
         "reward=dac,temperature=0.1",
         "reward=dac,temperature=none",
     ]
-    assert points["reward=dac,temperature=0.1"] == replace(CORRECTED, reward="dac", temperature=0.1)
+    assert points["reward=dac,temperature=0.1"] == CORRECTED.change(reward="dac", temperature=0.1)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +30,7 @@ def test_a_grid_is_the_product_of_its_values():
     ],
 )
 def test_a_value_and_its_text_are_the_same(field, value, text):
-    expected = {f"{field}={text}": replace(CORRECTED, **{field: value})}
+    expected = {f"{field}={text}": CORRECTED.change(**{field: value})}
     assert grid(CORRECTED, **{field: [value]}) == expected
     assert grid(CORRECTED, **{field: [text]}) == expected
 
@@ -45,7 +43,7 @@ def test_names_are_those_of_folders():
 
 def test_numbers_are_of_the_type_of_their_field():
     (config,) = grid(CORRECTED, temperature=["1"], hidden=[[8, 8]]).values()
-    assert (repr(config.temperature), config.hidden) == ("1.0", (8, 8))
+    assert (repr(config.learner.temperature), config.learner.hidden) == ("1.0", (8, 8))
 
 
 @pytest.mark.parametrize(

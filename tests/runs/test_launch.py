@@ -173,7 +173,7 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     shown = {"dataset": None, "trajectories": 50, "subsample": 1, "experts": None}
     inherited = {"frozen_reward": {"files": ["one"], "digest": ""}}
     plan = RunSpec.read(path)
-    config = replace(plan.config, reward="frozen")
+    config = plan.config.change(reward="frozen")
     replace(plan, config=config, demonstrations=shown, inherited=inherited).write(path)
     same = (
         f"maze-expert --grid temperature=0.1 {SMALL} --out here --reward frozen --frozen-reward one"

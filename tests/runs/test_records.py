@@ -79,13 +79,13 @@ def test_a_record_comes_back_as_it_was(record, tiny):
 
 @pytest.mark.parametrize("bottleneck", [None, 0.5])
 def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, bottleneck):
-    config = replace(tiny, bottleneck=bottleneck)
+    config = tiny.change(bottleneck=bottleneck)
     run = train(config, SEEDS, random_demonstrations(tiny.env_id), progress=False)
     assert set(run.rows[0].metrics) <= set(METRICS)
 
 
 def test_what_there_is_not_is_left_out(record, spec):
-    replace(spec, config=replace(spec.config, reward="environment")).write(record)
+    replace(spec, config=spec.config.change(reward="environment")).write(record)
     row = rows(100)[0]._replace(learned_return=math.nan, metrics={})
     (record / "curve.csv").write_text(HEADER + lines([row]))
     (again,) = read(record).rows
@@ -128,7 +128,7 @@ def test_several_run_folders_are_one_run(parts, tiny):
 
 
 def test_runs_of_several_configurations_are_not_one(parts, spec):
-    other = replace(spec, config=replace(spec.config, discount=0.5), seeds=(7,))
+    other = replace(spec, config=spec.config.change(discount=0.5), seeds=(7,))
     other.write(parts / "seeds-7")
     with pytest.raises(ValueError, match=r"several configurations: discount differ between .*-3"):
         read(parts)

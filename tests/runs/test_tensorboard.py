@@ -2,7 +2,6 @@
 
 import math
 import sys
-from dataclasses import replace
 
 import pytest
 
@@ -36,7 +35,7 @@ def test_every_evaluation_of_every_seed_is_written(tiny, tmp_path, random_demons
 
 
 def test_a_record_is_written_once_and_followed_to_its_end(tiny, tmp_path, monkeypatch, capsys):
-    config, folder = replace(tiny, reward="environment"), tmp_path / "run"
+    config, folder = tiny.change(reward="environment"), tmp_path / "run"
     create(folder, config, (0,))
     looks = []
 
