@@ -1,111 +1,223 @@
-from dataclasses import FrozenInstanceError, fields, replace
+"""Settings: what makes no sense is refused by name, and types are checked as strictly as ranges."""
+
+import math
+from dataclasses import FrozenInstanceError, fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from offairl_lite import config
+from offairl_lite.ablations import bottleneck, penalties, released
 from offairl_lite.ablations.released import RELEASE
-from offairl_lite.config import CORRECTED, PAPER, Config, Config, differences
+from offairl_lite.config import (
+    CORRECTED,
+    PAPER,
+    Config,
+    DiscriminatorConfig,
+    Frozen,
+    PPOConfig,
+    SACConfig,
+    Schedule,
+    TD3Config,
+    differences,
+    flat_settings,
+    groups,
+)
+from offairl_lite.config.settings import wanted
 
-PPO = {"learner": "ppo", "update_every": 100}
+PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"reward": "airl"}, "reward is 'airl'.*implementation-4"),
-        ({"generator": "trpo"}, "generator is 'trpo'.*'sac', 'td3', 'ppo'"),
+        ({"reward": "airl"}, "reward is 'airl'; expected one of .*implementation-4"),
+        ({"learner": "trpo"}, "learner is 'trpo'; expected one of .*'sac'"),
+        ({"ablation": "both"}, "ablation is 'both'; expected one of None, .*'one-sided'"),
         ({"absorbing": "yes"}, "absorbing is 'yes'.*bootstrap"),
-        ({"penalty_on": "f"}, "penalty_on is 'f'"),
-        ({"penalty_sides": "both"}, "penalty_sides is 'both'"),
+        ({"loss": "f"}, "loss is 'f'; expected one of"),
         ({"log_prob_in_reward": False}, "'implementation-4' has no log π to leave out"),
-        ({"loss": "mixture", "log_density": "released"}, "set log_density='exact'"),
-        ({"reward_sees": ()}, r"reward_sees is \(\); expected indices"),
-        ({"reward_sees": (-1, 2)}, r"reward_sees is \(-1, 2\); expected indices"),
+        ({"reward_sees": ()}, r"reward_sees is \(\); expected at least one index"),
+        ({"reward_sees": (0, 0)}, r"reward_sees is \(0, 0\); expected each index once"),
+        ({"reward_sees": (-1, 2)}, r"reward_sees is \(-1, 2\); expected a tuple"),
         ({"reward_sees": (1,), "ablation": "spectral-norm"}, "for plain networks"),
+        ({"reward_sees": (1,), "ablation": "bottleneck"}, "plain networks"),
         ({"reward_sees": (1,), "absorbing": "bootstrap"}, "without the absorbing state"),
         ({"ablation": "bottleneck", "bottleneck": 0.0}, "bottleneck is 0.0"),
-        ({"ablation": "bottleneck", "bottleneck": 0.5, "ablation": "spectral-norm"}, "ablation="bottleneck", bottleneck=0.5 and ablation="spectral-norm""),
-        (PPO | {"ablation": "bottleneck", "bottleneck": 0.5, "reward": "gan-gcl"}, "gan-gcl judges whole episodes"),
-        ({"discount": 1.1}, "discount is 1.1"),
+        ({"bottleneck": 0.5}, "bottleneck has no use with learner='sac'"),
+        (PPO | {"ablation": "bottleneck", "reward": "gan-gcl"}, "other than gan-gcl"),
+        ({"discount": 1.1}, r"discount is 1.1; expected a number in \[0, 1\]"),
         ({"discriminator_discount": -0.1}, "discriminator_discount is -0.1"),
         ({"target_rate": 2.0}, "target_rate is 2.0"),
         ({"warmup_hold": 0.5}, "warmup_hold is 0.5"),
-        ({"update_every": 0}, "update_every is 0"),
-        ({"temperature": 0.0}, "temperature is 0.0"),
+        ({"update_every": 0}, "update_every is 0; expected a whole number of at least 1, or None"),
+        ({"temperature": 0.0}, "temperature is 0.0; expected a number above 0, or None"),
         ({"total_steps": 100, "warmup_steps": 101}, "warmup_steps is 101, total_steps 100"),
         (
             {"update_every": 300, "total_steps": 200, "warmup_steps": 100},
             "update_every is 300, tot",
         ),
         (PPO | {"total_steps": 200, "warmup_steps": 150}, "update_every is 100, total_steps 200"),
-        ({"gradient_penalty": -1.0}, "gradient_penalty is -1.0"),
-        ({"hidden": (8, 0)}, r"hidden is \(8, 0\); expected positive"),
+        ({"gradient_penalty": -1.0}, "gradient_penalty is -1.0; expected a number of at least 0"),
+        ({"hidden": (8, 0)}, r"hidden is \(8, 0\); expected a tuple"),
         ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\); expected a lower"),
         ({"learner": "td3"}, "needs log π"),
-        ({"learner": "td3", "reward": "gan-gcl"}, "needs log π"),
         ({"reward": "gan-gcl"}, "use learner='ppo'"),
         ({"learner": "ppo"}, "update_every is None; ppo learns from the last"),
         (PPO | {"replay_size": 99}, r"update_every is 100; .* to replay_size \(99\) at most"),
-        (PPO | {"temperature": None}, "temperature is None, and ppo"),
+        (PPO | {"temperature": None}, "temperature is None; expected a number above 0"),
         (PPO | {"absorbing": "bootstrap"}, "absorbing='bootstrap' is not for ppo"),
+        (PPO | {"pretrained": "primitives"}, "pretrained is 'primitives'"),
+        (PPO | {"centre_reward": True}, "centre_reward has no use with learner='ppo'"),
+        (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
         ({"discriminator_updates": 0}, "discriminator_updates is 0"),
         ({"primitives": 0}, "primitives is 0"),
-        ({"primitives": 4, "learner": "td3", "reward": "dac"}, "primitives=4.*'td3'"),
-        ({"pretrained": "primitives"}, "carry='primitives', and there are none"),
-        ({"pretrained": "policy", "learner": "td3", "reward": "dac"}, "carry='policy' is not for td3"),
+        (
+            {"primitives": 4, "learner": "td3", "reward": "dac"},
+            "primitives has no use .*'td3'",
+        ),
+        ({"pretrained": "primitives"}, "pretrained='primitives', and there are none"),
+        ({"pretrained": "policy", "learner": "td3", "reward": "dac"}, "pretrained has no use"),
         ({"start_steps": -1}, "start_steps is -1"),
         ({"start_steps": 100, "warmup_steps": 100}, "start_steps is 100; expected .* the 100 warm"),
-        (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
-        (
-            {"start_steps": 5, "loss": "mixture"},
-            "start_steps is 5, and loss='mixture' counts the steps of a guide",
-        ),
-        (PPO | {"centre_reward": True}, "centre_reward=True is for replay"),
+        ({"start_steps": 5, "loss": "mixture"}, "loss='mixture' counts the steps of a guide"),
         ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
-    ]
-    + [({name: bad}, name) for name in config._POSITIVE for bad in (0, -1, float("nan"))],
+        ({"reward": "frozen", "gradient_penalty": 1.0}, "gradient_penalty has no use .*'frozen'"),
+        (
+            {"reward": "frozen", "ablation": "one-sided"},
+            "ablation='one-sided' is a disc",
+        ),
+        ({"temprature": 1.0}, "no setting 'temprature'; there are: .*temperature"),
+    ],
 )
 def test_what_makes_no_sense_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         CORRECTED.change(**change)
 
 
+WRONG = {
+    "a whole number": [2.5, 0.0, "3", True, math.nan, math.inf, [1], np.float64(1.0)],
+    "a number": ["1", True, math.nan, math.inf, -math.inf, [0.5], 1j],
+    "True or False": ["no", 0, 1, "True", None],
+    "a text": [None, 3, ("a",)],
+    "one of": [0, None, True, "", "nothing of the kind", ("none",)],
+    "a tuple": [64, "64", (64.5,), (True,), ("64",), {64}],
+    "2 numbers": [(1.0,), (0, 1, 2), -5.0, ("a", "b")],
+}
+
+
+def wrong_values():
+    for name, (hint, *_) in flat_settings().items():
+        words = wanted(hint)
+        for start, values in WRONG.items():
+            if words.startswith(start):
+                optional = words.endswith("or None")
+                for value in values:
+                    if not (value is None and optional):
+                        yield name, value
+
+
+@pytest.mark.parametrize(("name", "value"), list(wrong_values()))
+def test_a_value_of_another_type_is_refused_by_name(name, value):
+    of = {"ablation": "bottleneck"} if name.startswith("bottleneck") else {}
+    if name in ("log_density", "composition"):
+        of = {"learner": "sac-released"}
+    with pytest.raises(ValueError, match=f"^{name} is .*; expected "):
+        Config.of(**{**of, name: value})
+
+
+def test_numpy_s_numbers_are_numbers():
+    config = Config.of(
+        total_steps=np.int64(20_000),
+        discount=np.float32(0.5),
+        hidden=[np.int32(8)],
+        normalise=np.True_,
+    )
+    assert (config.total_steps, config.learner.discount, config.learner.hidden) == (
+        20_000,
+        0.5,
+        (8,),
+    )
+    assert [type(x) for x in (config.total_steps, config.learner.discount)] == [int, float]
+    assert config.schedule.normalise is True
+
+
 @pytest.mark.parametrize(
     "reward", ["dac", "gail-survival", "gail-termination", "environment", "frozen"]
 )
 def test_td3_serves_the_rewards_without_log_prob(reward):
-    assert CORRECTED.change(learner="td3", reward=reward).learner.kind == "td3"
+    assert CORRECTED.change(learner="td3", reward=reward).learner == TD3Config()
 
 
 @pytest.mark.parametrize(
-    ("reward", "learned"),
+    ("reward", "discriminator"),
     [
-        ("implementation-1", True),
-        ("dac", True),
-        ("gail-survival", True),
-        ("environment", False),
-        ("frozen", False),
+        ("implementation-1", DiscriminatorConfig("implementation-1")),
+        ("dac", DiscriminatorConfig("dac")),
+        ("gail-survival", DiscriminatorConfig("gail-survival")),
+        ("environment", None),
+        ("frozen", Frozen()),
     ],
 )
-def test_which_rewards_are_learned(reward, learned):
-    assert Config.of(reward=reward).learns_reward is learned
+def test_a_reward_has_a_discriminator_if_it_is_learned(reward, discriminator):
+    config = Config.of(reward=reward)
+    assert config.discriminator == discriminator
+    assert config.reward == reward
+    assert config.learns_reward is isinstance(discriminator, DiscriminatorConfig)
 
 
 def test_a_configuration_cannot_be_changed():
     with pytest.raises(FrozenInstanceError):
-        CORRECTED.discount = 0.5
+        CORRECTED.learner.discount = 0.5
 
 
-def test_differences_are_the_fields_that_differ_with_both_values():
+@pytest.mark.parametrize(
+    "flat",
+    [
+        {},
+        PPO,
+        {"learner": "td3", "reward": "dac"},
+        {"reward": "environment"},
+        {"reward": "frozen", "pretrained": "policy"},
+        {"ablation": "bottleneck", "bottleneck": 0.25},
+        {"ablation": "spectral-norm"},
+        {"learner": "sac-released", "primitives": 4},
+    ],
+)
+def test_the_flat_view_has_everything(flat):
+    config = Config.of(**flat)
+    assert Config.of(**config.flat()) == config
+    assert flat.items() <= config.flat().items()
+    assert config.change() == config
+
+
+def test_groups_and_flat_names_mean_the_same():
+    assert Config.of(env_id="Hopper-v5", hidden=(8,), discriminator_discount=0.5) == Config(
+        Schedule(env_id="Hopper-v5"), SACConfig(hidden=(8,)), DiscriminatorConfig(discount=0.5)
+    )
+
+
+def test_another_learner_or_reward_keeps_what_it_has_a_use_for():
+    config = CORRECTED.change(hidden=(8,), temperature=None, gradient_penalty=1.0)
+    td3 = config.change(learner="td3", reward="dac")
+    assert td3.learner == TD3Config(hidden=(8,))
+    assert td3.discriminator.gradient_penalty == 1.0
+    assert config.change(reward="environment").learner == config.learner
+    assert config.change(**PPO).learner == PPOConfig(hidden=(8,), temperature=0.2)
+
+
+def test_differences_are_the_settings_that_differ_with_both_values():
     assert differences(CORRECTED, CORRECTED) == {}
     changed = CORRECTED.change(discount=0.5, hidden=(8,))
     assert differences(CORRECTED, changed) == {
         "hidden": ((400, 300), (8,)),
         "discount": (0.99, 0.5),
     }
+    frozen = differences(CORRECTED, CORRECTED.change(reward="frozen"))
+    assert frozen["reward"] == ("implementation-4", "frozen")
+    assert frozen["gradient_penalty"] == (10.0, None)
 
 
 def test_presets_are_those_of_the_paper_and_its_code():
@@ -113,8 +225,9 @@ def test_presets_are_those_of_the_paper_and_its_code():
     assert PAPER.learner.hidden == (400, 300)
     assert PAPER.discriminator.reward_hidden == PAPER.discriminator.shaping_hidden == (100, 100)
     assert PAPER.discriminator.activation == "tanh"
-    released = {name: pair[1] for name, pair in differences(PAPER, RELEASE).items()}
-    assert released == {
+    changed = {name: pair[1] for name, pair in differences(PAPER, RELEASE).items()}
+    assert changed == {
+        "learner": "sac-released",
         "hidden": (256, 256),
         "temperature": None,
         "log_std_range": (-20.0, 2.0),
@@ -128,9 +241,21 @@ def test_presets_are_those_of_the_paper_and_its_code():
     }
 
 
-def test_every_field_is_explained():
+@pytest.mark.parametrize(
+    ("module", "kind"),
+    [
+        *(
+            (groups, kind)
+            for kind in (Schedule, SACConfig, TD3Config, PPOConfig, DiscriminatorConfig)
+        ),
+        (bottleneck, bottleneck.BottleneckConfig),
+        (penalties, penalties.OneSidedConfig),
+        (released, released.ReleasedSACConfig),
+    ],
+)
+def test_every_setting_is_explained(module, kind):
     # dataclasses drop the docstrings of fields; the source has them.
-    source = Path(config.__file__).read_text("utf-8")
-    for field in fields(Config):
+    source = "\n".join(Path(m.__file__).read_text("utf-8") for m in (groups, module))
+    for field in fields(kind):
         after = source.split(f"\n    {field.name}: ", 1)[1].split("\n    ", 2)
         assert after[1].startswith('"""'), field.name

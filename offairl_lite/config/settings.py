@@ -104,7 +104,7 @@ def _checked(value: Any, hint: Any) -> Any:
         if len(kinds) != len(value):
             raise ValueError
         return tuple(_checked(part, kind) for part, kind in zip(value, kinds, strict=True))
-    is_bool = isinstance(value, bool) or type(value).__name__ == "bool_"
+    is_bool = type(value).__name__ in ("bool", "bool_")  # Python's and NumPy's
     if hint is bool and is_bool:
         return bool(value)
     if hint is int and isinstance(value, Integral) and not is_bool:
