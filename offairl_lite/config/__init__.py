@@ -181,8 +181,8 @@ class Config:
         learned = reward not in ("environment", "frozen")
         if ablation is not None and not learned:
             raise ValueError(
-                f"ablation={ablation!r} is a discriminator's, and reward={reward!r} has none: leave "
-                "it out"
+                f"ablation={ablation!r} is a discriminator's, and reward={reward!r} has none: "
+                "leave it out"
             )
         made = []
         for group in (Schedule, learner, *([discriminator] if learned else [])):
