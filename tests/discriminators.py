@@ -4,8 +4,9 @@ import torch
 
 from offairl_lite.ablations.bottleneck import Bottleneck
 from offairl_lite.ablations.penalties import SpectralNorm
-from offairl_lite.config import CORRECTED, RELEASE
-from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.ablations.released import RELEASE
+from offairl_lite.config import CORRECTED
+from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
@@ -19,16 +20,24 @@ CONFIGS = {
     "dac": CORRECTED.change(reward="dac", **SMALL),
     "released r(s)": RELEASE.change(**SMALL),
     "released r(s, a)": RELEASE.change(reward="implementation-3", **SMALL),
-    "dac on probability": CORRECTED.change(reward="dac", penalty_on="probability", **SMALL),
+    "dac on probability": CORRECTED.change(
+        reward="dac", ablation="penalty-on-probability", **SMALL
+    ),
     "r(s) of one number": CORRECTED.change(reward_sees=(1,), **SMALL),
     "r(s, a) of two numbers": CORRECTED.change(
         reward="implementation-3", reward_sees=(0, 2), **SMALL
     ),
-    "one-sided r(s)": CORRECTED.change(penalty_sides="one", **SMALL),
-    "spectral r(s, a)": CORRECTED.change(reward="implementation-3", spectral_norm=True, **SMALL),
-    "bottleneck r(s)": CORRECTED.change(bottleneck=0.5, bottleneck_size=3, **SMALL),
-    "bottleneck dac": CORRECTED.change(reward="dac", bottleneck=0.5, **SMALL),
-    "gan-gcl": CORRECTED.change(reward="gan-gcl", generator="ppo", update_every=HORIZON, **SMALL),
+    "one-sided r(s)": CORRECTED.change(ablation="one-sided", **SMALL),
+    "spectral r(s, a)": CORRECTED.change(
+        reward="implementation-3", ablation="spectral-norm", **SMALL
+    ),
+    "bottleneck r(s)": CORRECTED.change(
+        ablation="bottleneck", bottleneck=0.5, bottleneck_size=3, **SMALL
+    ),
+    "bottleneck dac": CORRECTED.change(
+        reward="dac", ablation="bottleneck", bottleneck=0.5, **SMALL
+    ),
+    "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", update_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]
 
@@ -37,8 +46,9 @@ def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
     """A discriminator with a random normaliser; double precision, unless it is to be trained."""
     normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
     horizon = HORIZON if config.reward == "gan-gcl" else 1
-    kind = Discriminator.of(config)
-    made = kind(config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon)
+    made = make_discriminator(
+        config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon, config.env_id
+    )
     if learning_rate is not None:
         made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate
     if dtype == torch.float64:

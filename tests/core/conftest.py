@@ -4,10 +4,9 @@ import pytest
 import torch
 
 from offairl_lite.core.networks import Normaliser, StackedMLP
-from offairl_lite.core.policies import Policy
+from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
-from offairl_lite.core.sac import stochastic_actor
 
 MAZE = "offairl/PointMazeLeft-v0"
 
@@ -34,7 +33,7 @@ def earlier_policy():
     """Make a random policy of the maze, as an earlier run with this configuration would."""
 
     def make(config, members, shift=0.0):
-        actor = stochastic_actor(config, 3, 2)
+        actor = make_actor(config.learner, 3, 2)
         mean, std = torch.full((members, 1, 3), shift), torch.full((members, 1, 3), 2.0)
         params = actor.init(Streams(range(10, 10 + members)))
         return Policy(MAZE, actor, params, Normaliser(mean, std))

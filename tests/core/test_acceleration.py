@@ -27,9 +27,14 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 
 VARIANTS = [
     {"temperature": None, "update_every": 20},
-    {"env_id": HOPPER, "update_every": 20, "absorbing": "analytic", "penalty_on": "probability"},
-    {"env_id": HOPPER, "update_every": 20, "reward": "dac", "generator": "td3"},
-    {"env_id": HOPPER, "update_every": 20, "generator": "ppo"},
+    {
+        "env_id": HOPPER,
+        "update_every": 20,
+        "absorbing": "analytic",
+        "ablation": "penalty-on-probability",
+    },
+    {"env_id": HOPPER, "update_every": 20, "reward": "dac", "learner": "td3"},
+    {"env_id": HOPPER, "update_every": 20, "learner": "ppo"},
 ]
 NAMES = ["airl", "absorbing", "td3", "ppo"]
 

@@ -229,8 +229,8 @@ def test_the_cores_are_given_back():
     "changes",
     [
         {"reward": "implementation-2"},
-        {"reward": "frozen", "carry": "primitives", "primitives": 2, "start_steps": 20},
-        {"generator": "ppo", "update_every": 40, "reward": "gail-survival"},
+        {"reward": "frozen", "pretrained": "primitives", "primitives": 2, "start_steps": 20},
+        {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
