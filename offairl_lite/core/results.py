@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from offairl_lite.config import Config
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 
 
 class Row(NamedTuple):

@@ -1,16 +1,13 @@
 """The command line, `offairl`: one function for each of its commands."""
 
 import shutil
-import signal
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Sequence
 from itertools import pairwise
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import gymnasium
 import tyro
@@ -18,15 +15,12 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from offairl_lite import demonstrations, scale
 from offairl_lite.analysis import films as video
-from offairl_lite.config import Config
-from offairl_lite.core.acceleration import Execution, is_large
+from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import folders as runs
-from offairl_lite.runs import jobs, provenance, records, sweep
+from offairl_lite.runs import folders, inputs, jobs, launch, provenance, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
-from offairl_lite.scale import Scale
 
 
 def list_experiments(name: Positional[str | None] = None, *, times: bool = False) -> None:
@@ -43,7 +37,7 @@ def list_experiments(name: Positional[str | None] = None, *, times: bool = False
         print(f"  {title:16} {experiment.about}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
-            runs_of_it = [replace(config, **c) for c in experiment.variants.values()] or [config]
+            runs_of_it = [config.change(**c) for c in experiment.variants.values()] or [config]
             about = f", {_words(estimate(runs_of_it[0], seeds))}" if times else ""
             tasks = ", ".join(dict.fromkeys(run.env_id for run in runs_of_it))
             about = f"{size}: {tasks}, {config.total_steps:,} steps, {seeds} seeds{about}"
@@ -152,17 +146,8 @@ def _policy(what: str) -> Policy:
         ValueError: the file holds something else.
     """
     path = Path(what)
-    if path.is_dir():
-        path /= "policy.safetensors"
-        if not path.is_file() and not path.with_name("config.json").is_file():
-            raise FileNotFoundError(f"{what} is not a run's folder: it has no config.json")
-        if not path.is_file():
-            raise FileNotFoundError(
-                f"{what} has no policy.safetensors, which is written at the end of the run: "
-                f"`offairl resume {what}` goes on to it (not every record keeps its own)"
-            )
-    if path.is_file() or path.suffix == ".safetensors":
-        return Policy.load(path)
+    if path.exists() or path.suffix == ".safetensors":
+        return inputs.load_one(path, Policy)
     # A folder's name may end like a task's: runs/Hopper is not Hopper-v5.
     if what not in gymnasium.registry:
         raise FileNotFoundError(
@@ -199,7 +184,7 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
         record: its folder.
         evaluations: how many to do again, from the first one on.
     """
-    pairs = runs.verify(record, evaluations, sys.stderr.isatty())
+    pairs = folders.verify(record, evaluations, sys.stderr.isatty())
     print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
     for old, new in pairs:
         one = old or new
@@ -207,7 +192,8 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
         print(f"{one.seed:5} {one.step:9,}", *(f"{mean:>12}" for mean in means))
     if all(old and new and old.returns == new.returns for old, new in pairs):
         return print("the same, every return of every episode")
-    then, now = records.read_json(record / "run.json"), provenance.origin(Execution())
+    first = records.run_folders(record)[0]
+    then, now = records.read_json(first / "run.json"), provenance.origin(Execution())
     cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
     changed = [
         f"{key}: {was}, here {here}{cures.get(key, '')}"
@@ -227,149 +213,6 @@ def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -
     print(dumps(report, indent=2) if json else table(report))
 
 
-def _run_command(name: str, size: Scale):
-    """Return `offairl run`, with the defaults of one experiment at one scale."""
-    experiment = find(name)
-
-    def run(
-        experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
-        *,
-        scale: Scale = size,
-        seeds: tuple[int, ...] = experiment.seeds[size],
-        out: Path | None = None,
-        given: Annotated[sweep.Given, OmitArgPrefixes] = sweep.Given(  # noqa: B008
-            experts=experiment.experts[size]
-        ),
-        processes: int | None = None,
-        config: Annotated[Config, OmitArgPrefixes] = experiment.configs[size],
-    ) -> None:
-        """Run an experiment, and record it in a folder of its own, from which it can be resumed.
-
-        Args:
-            experiment: its name; the defaults below are this experiment's at this scale.
-            scale: demo takes minutes, full is the paper's protocol.
-            seeds: one member of the population for each.
-            out: the folder to write; by default runs/EXPERIMENT-SCALE.
-            given: what it is given beside its configuration.
-            processes: that share the members; by default one, or for large networks one a core.
-            config: everything else.
-        """
-        sweep.require_defaults(experiment, scale, name, size)
-        if (
-            config.reward == "frozen"
-            and not given.frozen
-            and (source := find(experiment).reward_from)
-        ):
-            raise ValueError(
-                f"{experiment} is paid by the reward of another run: first `offairl run "
-                f"{source}`, then add --frozen runs/{source}-{scale}/reward.safetensors"
-            )
-        given.require_use([config], find(experiment).experts[scale])
-        inherited = runs.inherit(config, seeds, **given.files)
-        data = given.demonstrations(config.env_id) if config.learns_reward else None
-        if processes is None:
-            one_a_core = is_large(config) and given.device == "cpu"
-            processes = min(jobs.cores(), len(seeds)) if one_a_core else 1
-        if processes < 1:
-            raise ValueError(f"processes is {processes}; expected at least 1")
-        execution = given.execution(config)
-        folder = out or Path("runs") / f"{experiment}-{scale}"
-        needed = runs.create(
-            folder,
-            config,
-            seeds,
-            execution=execution,
-            demonstrations=data,
-            **inherited,
-            sources=given.files,
-            experiment=experiment,
-            scale=scale,
-            shards=processes,
-        )
-        updates = "compiled" if execution.compile else "not compiled"
-        print(
-            f"{folder} takes up to {needed} of disk, mostly replay; processes: {processes}, "
-            f"updates: {updates}"
-        )
-        _work(folder, processes, data)
-        if data is not None:
-            print(f"demonstrations: {data.returns.mean():.2f}")
-
-    return run
-
-
-def resume(
-    folder: Positional[Path],
-    *,
-    steps: int | None = None,
-    seeds: tuple[int, ...] = (),
-    members: tuple[int, ...] = (),
-    processes: int | None = None,
-) -> None:
-    """Go on with a run that was interrupted, or extend one that has ended.
-
-    Args:
-        folder: of the run.
-        steps: environment steps of each member, in all: more than before to extend the run.
-        seeds: members to add.
-        members: the seeds of the only shard to work on (a folder in RUN/members).
-        processes: by default one for each shard that is not finished, up to the cores.
-    """
-    if members and (steps is not None or seeds):
-        raise ValueError(
-            "--members works on one shard of a run as it is: resume first with --steps or --seeds, "
-            "and without --members"
-        )
-    if processes is not None and processes < 1:
-        raise ValueError(f"processes is {processes}; expected at least 1")
-    if steps is not None or seeds:
-        runs.extend(folder, steps, seeds)
-    if members:
-        return runs.work(folder, members, progress=sys.stderr.isatty())
-    return _work(folder, processes or jobs.cores())
-
-
-def _work(folder: Path, processes: int, data: demonstrations.Demonstrations | None = None) -> None:
-    """Take a run to its end and show what came of it."""
-    shards = runs.unfinished(folder)
-    try:
-        if processes > 1 and len(shards) > 1:
-            todo = [job for job in jobs.of(folder) if job.members in shards]
-            if failures := jobs.execute(todo, workers=processes):
-                print(*failures, sep="\n\n", file=sys.stderr)
-                raise ChildProcessError(
-                    f"{len(failures)} of {len(todo)} shards failed, twice: see above; "
-                    f"`offairl resume {folder}` goes on with them"
-                )
-        runs.work(folder, demonstrations=data)
-    except KeyboardInterrupt:
-        sys.exit(f"offairl: stopped; `offairl resume {folder}` goes on")
-    run = records.read(folder)
-    print(f"\n{'seed':>5} {'step':>9} {'return':>10}")
-    for row in {row.seed: row for row in run.rows}.values():
-        print(f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}")
-    print(f"recorded in {folder}")
-    if run.diverged:
-        why = "; ".join(run.diverged.values())
-        raise FloatingPointError(
-            why if shards else f"{why}. It is not tried again: start a new run"
-        )
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Have SIGTERM, by which schedulers end a job, do what Ctrl-C does."""
-
-    def interrupt(number: int, _: object) -> None:
-        raise KeyboardInterrupt(signal.Signals(number).name)
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def main(args: Sequence[str] | None = None) -> None:
     """Off-policy adversarial inverse reinforcement learning, from the command line."""
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
@@ -387,19 +230,17 @@ def main(args: Sequence[str] | None = None) -> None:
         name = next((arg for arg in free if arg in EXPERIMENTS), "maze-imitation")
         sizes = [after for before, after in pairwise(args) if before == "--scale"]
         size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
-        several = sweep.subcommand(name, size, runs.create)
         commands = {
             "list": list_experiments,
-            "run": several if EXPERIMENTS[name].variants else _run_command(name, size),
-            "resume": resume,
-            "sweep": several,
+            "run": launch.run_command(name, size),
+            "resume": launch.resume,
             "demos": demos,
             "watch": watch,
             "tensorboard": tensorboard,
             "verify": verify,
             "bench": bench,
         }
-        with _terminable():
+        with jobs.terminable():
             tyro.extras.subcommand_cli_from_dict(
                 commands, prog="offairl", description=main.__doc__, args=args
             )

@@ -1,8 +1,8 @@
-"""Jobs: processes that take run folders to their ends, on this machine or on a Ray cluster.
+"""Jobs: processes that train run folders, on this machine or on a Ray cluster.
 
 Every job is a process of its own, on either engine, so that one that crashes takes no other with
-it. What is known of a job is what lies in its run folder. After an interruption, or a power cut,
-the same jobs are therefore executed again, and go on.
+it. What is known of a job is what lies in its run folder. After an interruption the same folders
+can therefore be given again, and their runs go on.
 
 Workers of a Ray cluster import this module, so it imports nothing large.
 """
@@ -14,21 +14,21 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 from tqdm.auto import tqdm
 
-from offairl_lite.runs.folders import home
-
 Engine = Literal["processes", "ray"]
+Command = Callable[[Path], list[str]]
+Attempt = Callable[[Path, threading.Event], str]
+"""Runs a job, or ends it when the event is set. It returns nothing, or what went wrong."""
+
 POLL_S = 1.0
 """Seconds between two looks at the jobs."""
 GRACE_S = 10.0
@@ -37,204 +37,25 @@ TAIL = 20
 """Lines of the log that are shown of a job that failed."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """One process's share of a run: some of its members, from where they stand to the end.
-
-    Args:
-        folder: the run's.
-        members: their seeds.
-        steps: of the whole run.
-    """
+class Failure(NamedTuple):
+    """A job that failed twice: its run folder, how its process ended, the end of its log."""
 
     folder: Path
-    members: tuple[int, ...]
-    steps: int
-
-    @property
-    def shard(self) -> Path:
-        """Where these members are kept."""
-        return home(self.folder, self.members)
-
-    @property
-    def log(self) -> Path:
-        """What the job's processes had to say."""
-        return self.shard / "log.txt"
-
-    @property
-    def finished(self) -> bool:
-        """Whether the run is, with all its members."""
-        try:
-            return json.loads((self.folder / "run.json").read_text())["state"] == "finished"
-        except FileNotFoundError:
-            return False
-
-    @property
-    def step(self) -> int:
-        """The step of the last evaluation so far."""
-        try:
-            with open(self.shard / "curve.csv", "rb") as file:
-                header = file.readline()
-                file.seek(max(len(header), file.seek(0, os.SEEK_END) - 10_000))
-                # What follows the last end of a line is still being written.
-                rows = file.read().split(b"\n")[:-1]
-            return int(rows[-1].split(b",")[header.strip().split(b",").index(b"step")])
-        except (FileNotFoundError, IndexError):
-            return 0
-
-    def __str__(self) -> str:
-        return f"{self.folder}, seeds {' '.join(map(str, self.members))}"
-
-
-def of(folder: Path) -> list[Job]:
-    """Return the jobs of a run, one for each of its shards."""
-    about = json.loads((folder / "config.json").read_text())
-    steps = about["config"]["total_steps"]
-    return [Job(folder, tuple(shard), steps) for shard in about["shards"]]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A job that failed twice.
-
-    Args:
-        job: which.
-        reason: how its process ended.
-        tail: the last lines of its log.
-    """
-
-    job: Job
     reason: str
     tail: str
 
     def __str__(self) -> str:
-        return f"{self.job}: {self.reason}\n{self.job.log}:\n{self.tail}"
+        return f"{self.folder}: {self.reason}\n{log_of(self.folder)}:\n{self.tail}"
 
 
-Command = Callable[[Job], list[str]]
+def log_of(folder: Path) -> Path:
+    """Return the file with the output of a job's processes."""
+    return folder / "state" / "log.txt"
 
 
-def resume(job: Job) -> list[str]:
-    """Return the command that takes a job to its end, from its checkpoint if there is one."""
-    cli = [sys.executable, "-m", "offairl_lite.runs.cli"]
-    return [*cli, "resume", str(job.folder), "--members", *map(str, job.members)]
-
-
-def execute(
-    jobs: Sequence[Job],
-    engine: Engine = "processes",
-    workers: int | None = None,
-    progress: bool = True,
-    *,
-    address: str | None = None,
-    gpus: float = 0.0,
-    command: Command = resume,
-) -> list[Failure]:
-    """Take to their ends the jobs that are not there yet, and try once more what fails.
-
-    Args:
-        jobs: what to do, each with a run folder.
-        engine: processes of this machine, or of a Ray cluster.
-        workers: at most so many at a time; None for one on each core.
-        progress: whether to show a bar over the steps of all jobs.
-        address: of the Ray cluster, `auto` on one of its nodes; None for one on this machine that
-            is started and ended here.
-        gpus: that a job takes on a Ray cluster; a fraction where several share one.
-        command: what a job runs.
-
-    Returns:
-        What failed twice.
-
-    Raises:
-        ValueError: the engine is not there, or a node does not see a run folder.
-        KeyboardInterrupt: interrupted or terminated; so are the jobs, which can be gone on with.
-    """
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine is {engine!r}; expected one of {get_args(Engine)}")
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers is {workers}; expected at least 1")
-    if engine == "processes" and address is not None:
-        raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")
-    waiting = deque(job for job in jobs if not job.finished)
-    steps = {job: job.step if job in waiting else job.steps for job in jobs}
-    done, running, failed, failures = len(jobs) - len(waiting), {}, set(), []
-    bar = tqdm(
-        total=sum(job.steps for job in jobs),
-        initial=sum(steps.values()),
-        unit="step",
-        disable=not progress,
-    )
-
-    shown = None
-
-    def show() -> None:
-        nonlocal shown
-        before = shown
-        counts = f"{done} done, {len(running)} running, {len(failures)} failed"
-        bar.set_postfix_str(counts, refresh=False)
-        bar.update(sum(steps.values()) - bar.n)
-        shown = bar.n, counts
-        # A clock that ticks is welcome on a terminal, and fills a log file.
-        if sys.stderr.isatty() or shown != before:
-            bar.refresh()
-
-    if not waiting:
-        show()
-        bar.close()
-        return failures
-    crew = (
-        Processes(command, workers)
-        if engine == "processes"
-        else Ray(command, workers, address, gpus)
-    )
-    # Signals are noted until the last job has ended.
-    with bar, _signals() as signals, ExitStack() as last:
-        last.callback(crew.close)
-        last.callback(lambda: crew.stop(list(running.values())))
-        while waiting or running:
-            while waiting and len(running) < crew.capacity():
-                job = waiting.popleft()
-                running[job] = crew.start(job)
-            show()
-            time.sleep(POLL_S)
-            if signals:
-                raise KeyboardInterrupt
-            for job, handle in list(running.items()):
-                steps[job] = job.step
-                if (reason := crew.outcome(handle)) is None:
-                    continue
-                del running[job]
-                if not reason:
-                    done, steps[job] = done + 1, job.steps
-                elif job not in failed:
-                    failed.add(job)
-                    waiting.append(job)
-                    bar.write(f"{job}: {reason}; it is tried once more", file=sys.stderr)
-                else:
-                    failures.append(Failure(job, reason, _tail(job.log)))
-        show()
-    return failures
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Note signals, instead of being interrupted in the middle of starting a process."""
-    caught: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield caught
-        return
-    numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, lambda number, _: caught.append(number)) for number in numbers]
-    try:
-        yield caught
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
-
-
-def _tail(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
-    return "\n".join(lines[-TAIL:])
+def resume(folder: Path) -> list[str]:
+    """Return the command that trains a run folder to its end."""
+    return [sys.executable, "-m", "offairl_lite.runs.worker", str(folder)]
 
 
 def cores() -> int:
@@ -243,148 +64,213 @@ def cores() -> int:
     return len(allowed(0))
 
 
-class Processes:
-    """Jobs as children of this process.
-
-    An outcome is None before a job's end, then empty for success, or what went wrong.
+def execute(
+    folders: Sequence[Path],
+    engine: Engine = "processes",
+    workers: int | None = None,
+    progress: bool = True,
+    *,
+    address: str | None = None,
+    gpus: float = 0.0,
+    command: Command = resume,
+) -> list[Failure]:
+    """Train run folders to their ends, one process for each, and try once more what fails.
 
     Args:
+        folders: the run folders.
+        engine: processes of this machine, or of a Ray cluster.
+        workers: how many at a time; by default one on each core.
+        progress: whether to show a bar over the steps of all jobs.
+        address: the address of the Ray cluster, `auto` on one of its nodes; None for a cluster on
+            this machine that is started and ended here.
+        gpus: how much of a GPU a job takes on a Ray cluster.
         command: what a job runs.
-        workers: at most so many at a time; None for one on each core.
+
+    Returns:
+        The jobs that failed twice.
+
+    Raises:
+        ValueError: the engine is not there, or a node does not see a run folder.
+        KeyboardInterrupt: interrupted or terminated, as are the jobs, which can be gone on with.
     """
+    if engine not in get_args(Engine):
+        raise ValueError(f"engine is {engine!r}; expected one of {get_args(Engine)}")
+    if workers is not None and workers < 1:
+        raise ValueError(f"processes is {workers}; expected at least 1")
+    if engine == "processes" and address is not None:
+        raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")
+    stop, failures, shown = threading.Event(), [], []
 
-    def __init__(self, command: Command, workers: int | None) -> None:
-        self.command = command
-        self.workers = workers or cores()
+    def job(attempt: Attempt, folder: Path) -> None:
+        for again in (False, True):
+            if not (reason := attempt(folder, stop)) or stop.is_set():
+                return
+            if not again:
+                bar.write(f"{folder}: {reason}; it is tried once more", file=sys.stderr)
+        failures.append(Failure(folder, reason, _tail(folder)))
 
-    def capacity(self) -> int:
-        """Return how many jobs there may be at a time."""
-        return self.workers
+    def show(done: int) -> None:
+        counts = f"{done - len(failures)} done, {len(failures)} failed"
+        steps = sum(map(_step, folders))
+        # A clock that ticks is welcome on a terminal, and fills a log file.
+        if sys.stderr.isatty() or [steps, counts] != shown:
+            bar.set_postfix_str(counts, refresh=False)
+            bar.n, shown[:] = steps, [steps, counts]
+            bar.refresh()
 
-    def start(self, job: Job) -> subprocess.Popen:
-        """Start a job as a process."""
-        if not job.folder.is_dir():
-            raise ValueError(
-                f"{platform.node()} does not see {job.folder}: put runs on a file system that all "
-                "nodes share, under the same path on each"
-            )
-        job.shard.mkdir(parents=True, exist_ok=True)
-        with open(job.log, "a") as log:
-            now = datetime.now(UTC).isoformat(timespec="seconds")
-            print(f"# {now} on {platform.node()}", file=log, flush=True)
-            return subprocess.Popen(
-                ["env", "OMP_NUM_THREADS=1", *self.command(job)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
+    there = _on_this_machine(command) if engine == "processes" else _on_ray(command, address, gpus)
+    most = workers or (cores() if engine == "processes" else len(folders))
+    total = sum(map(_steps, folders))
+    with (
+        tqdm(total=total, unit="step", disable=not progress) as bar,
+        there as attempt,
+        terminable(),  # Ray has a handler of its own.
+        ThreadPoolExecutor(min(most, len(folders))) as pool,
+    ):
+        futures = [pool.submit(job, attempt, folder) for folder in folders]
+        try:
+            waiting = set(futures)
+            while waiting:
+                ended, waiting = wait(waiting, POLL_S)
+                for future in ended:
+                    future.result()
+                show(len(folders) - len(waiting))
+        except BaseException:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+    return failures
 
-    def outcome(self, handle: subprocess.Popen) -> str | None:
-        """Return how a job ended, None while it runs."""
-        if (code := handle.poll()) is None:
-            return None
-        if code < 0:
-            memory = " (out of memory?)" if code == -signal.SIGKILL else ""
-            return f"killed by {signal.Signals(-code).name}{memory}"
-        return f"exit status {code}" if code else ""
 
-    def stop(self, handles: list[subprocess.Popen]) -> None:
-        """End jobs before their time, by what Ctrl-C would send them."""
-        for process in handles:
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Have SIGTERM, by which schedulers end a job, do what Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, _: object) -> None:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _on_this_machine(command: Command) -> Iterator[Attempt]:
+    """Run jobs as children of this process."""
+    yield lambda folder, stop: _child(folder, command(folder), stop)
+
+
+def _child(folder: Path, command: list[str], stop: threading.Event) -> str:
+    """Run a child process to its end; return how it failed, or nothing."""
+    if not folder.is_dir():
+        raise ValueError(
+            f"{platform.node()} does not see {folder}: put runs on a file system that all nodes "
+            "share, under the same path on each"
+        )
+    log_of(folder).parent.mkdir(exist_ok=True)
+    with open(log_of(folder), "a") as log:
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        print(f"# {now} on {platform.node()}", file=log, flush=True)
+        process = subprocess.Popen(
+            ["env", "OMP_NUM_THREADS=1", *command],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
+    try:
+        while process.poll() is None and not stop.wait(min(POLL_S, 0.2)):
+            pass
+    finally:
+        if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        deadline = time.monotonic() + GRACE_S
-        for process in handles:
             try:
-                process.wait(max(0, deadline - time.monotonic()))
+                process.wait(GRACE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+    code = process.returncode
+    if code < 0:
+        memory = " (out of memory?)" if code == -signal.SIGKILL else ""
+        return f"killed by {signal.Signals(-code).name}{memory}"
+    return f"exit status {code}" if code else ""
 
-    def close(self) -> None:
-        """There is nothing to close."""
 
-
-class Ray:
-    """Jobs as children of Ray's workers; each is a task that takes a core.
-
-    Args:
-        command: what a job runs.
-        workers: at most so many at a time; None for one on each core of the cluster.
-        address: of the cluster; None for a local one, which ends with this process.
-        gpus: that a job takes.
+@contextmanager
+def _on_ray(command: Command, address: str | None, gpus: float) -> Iterator[Attempt]:
+    """Run jobs as children of Ray's workers; each is a task that takes a core.
 
     Raises:
         ValueError: Ray is not installed, or there is no GPU where one is needed.
     """
+    try:
+        import ray
+    except ImportError:
+        raise ValueError("Ray is not installed: pip install -e '.[ray]', in a clone") from None
+    owned = not ray.is_initialized()
+    if owned:
+        if address is None:
+            os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+        here = {"include_dashboard": False} if address is None else {}
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **here)
+    # A task is repeated by Ray where its node dies. How a job fails is answered in `execute`.
+    task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=1)(_task)
+    here = version("offairl-lite")
 
-    def __init__(
-        self, command: Command, workers: int | None, address: str | None, gpus: float
-    ) -> None:
+    def attempt(folder: Path, stop: threading.Event) -> str:
+        folder = folder.absolute()
+        found = task.remote(folder, command(folder), here)
+        while not ray.wait([found], timeout=min(POLL_S, 0.2))[0]:
+            if stop.is_set():
+                ray.cancel(found)
+                ray.wait([found], timeout=2 * GRACE_S)
+                return "stopped"
         try:
-            import ray
-        except ImportError:
-            raise ValueError("Ray is not installed: pip install -e '.[ray]', in a clone") from None
-        self.ray, self.workers, self.gpus = ray, workers, gpus
-        self.owned = not ray.is_initialized()
-        if self.owned:
-            here = {}
-            if address is None:
-                os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-                here = {"include_dashboard": False, "num_cpus": workers}
-            ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **here)
-        if gpus and not ray.cluster_resources().get("GPU"):
-            self.close()
-            raise ValueError("the jobs need a GPU, and no node of the cluster has one: use cpu")
-        # Failures are answered by the same rules as without Ray, not by its own.
-        task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=0)(_attempt)
-        self.task = lambda job: task.remote(job, command, version("offairl-lite"))
-
-    def capacity(self) -> int:
-        """Return how many jobs there may be at a time; nodes come and go."""
-        there = self.ray.cluster_resources()
-        slots = there.get("GPU", 0) / self.gpus if self.gpus else there.get("CPU", 0)
-        return min(max(int(slots), 1), self.workers or sys.maxsize)
-
-    def start(self, job: Job) -> Any:
-        """Start a job as a task."""
-        return self.task(replace(job, folder=job.folder.absolute()))
-
-    def outcome(self, handle: Any) -> str | None:
-        """Return how a job ended, None while it runs."""
-        if not self.ray.wait([handle], timeout=0)[0]:
-            return None
-        try:
-            return self.ray.get(handle)
-        except self.ray.exceptions.RayTaskError as error:
+            return ray.get(found)
+        except ray.exceptions.RayTaskError as error:
             raise error.cause from None
-        except self.ray.exceptions.RayError as error:  # a node or a worker that died
+        except ray.exceptions.RayError as error:  # a node or a worker that died, twice
             return str(error).split("\n")[0].split(". ")[0]
 
-    def stop(self, handles: list) -> None:
-        """End jobs before their time."""
-        for handle in handles:
-            self.ray.cancel(handle)
-        if handles:
-            self.ray.wait(handles, num_returns=len(handles), timeout=2 * GRACE_S)
-
-    def close(self) -> None:
-        """Leave a cluster as it was found, and end a local one."""
-        if self.owned:
-            self.ray.shutdown()
+    try:
+        if gpus and not ray.cluster_resources().get("GPU"):
+            raise ValueError("the jobs need a GPU, and no node of the cluster has one: use cpu")
+        yield attempt
+    finally:
+        if owned:
+            ray.shutdown()
 
 
-def _attempt(job: Job, command: Command, expected: str) -> str:
-    """Run a job on a node of a cluster; return its outcome."""
+def _task(folder: Path, command: list[str], expected: str) -> str:
+    """Run a job on a node of a cluster; return how it failed, or nothing."""
     if (found := version("offairl-lite")) != expected:
         raise ValueError(f"{platform.node()} has offairl-lite {found}: install {expected} there")
-    here = Processes(command, 1)
     # Ray's workers hold SIGINT back, and a child would inherit that.
-    held = signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    handle = here.start(job)
-    signal.pthread_sigmask(signal.SIG_SETMASK, held)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    return _child(folder, command, threading.Event())
+
+
+def _step(folder: Path) -> int:
+    """Return the step of a run's last checkpoint."""
     try:
-        while (outcome := here.outcome(handle)) is None:
-            time.sleep(0.2)
-        return outcome
-    finally:
-        here.stop([handle])
+        return json.loads((folder / "run.json").read_bytes()).get("step", 0)
+    except FileNotFoundError:  # Another node may see it.
+        return 0
+
+
+def _steps(folder: Path) -> int:
+    """Return the steps that a run is to have in all."""
+    try:
+        return json.loads((folder / "config.json").read_bytes())["config"]["total_steps"]
+    except FileNotFoundError:
+        return 0
+
+
+def _tail(folder: Path) -> str:
+    log = log_of(folder)
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    return "\n".join(lines[-TAIL:])

@@ -73,12 +73,12 @@ def export(run: Path, folder: Path, follow: bool = False) -> int:
     """
     if any(folder.glob("seed-*/events.*")):
         raise FileExistsError(f"{folder} has event files already: choose a new folder, --out")
-    records.Plan.read(run)  # It tells of a folder that is no run.
+    records.run_folders(run)  # It tells of a folder that is no run.
     write = TensorBoard(folder)
     while True:
-        state = records.read_json(run / "run.json")["state"]
+        abouts = [records.read_json(path / "run.json") for path in records.run_folders(run)]
         rows = records.read(run).rows
         write(rows)
-        if not follow or state not in ("waiting", "running"):
+        if not follow or not {"waiting", "running"} & {about["state"] for about in abouts}:
             return len(rows)
         time.sleep(POLL_S)

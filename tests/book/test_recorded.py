@@ -17,17 +17,17 @@ from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import stochastic_actor
 from offairl_lite.experiments import EXPERIMENTS, configure
-from offairl_lite.runs import folders as runs
-from offairl_lite.runs import records
-from offairl_lite.runs.folders import INHERITED
+from offairl_lite.runs import inputs, records
 from offairl_lite.runs.provenance import PACKAGES
-from offairl_lite.runs.records import Plan, read_json
+from offairl_lite.runs.records import RunSpec, read_json, run_folders
 from paper_figures import FIGURES, record
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"
 CHAPTER = "10_results"
-FOLDERS = sorted(path.parent.relative_to(HOME).as_posix() for path in HOME.rglob("config.json"))
+PARTS = sorted(path.parent.relative_to(HOME).as_posix() for path in HOME.rglob("config.json"))
+# The seeds of some runs were trained by several processes.
+FOLDERS = sorted({part.partition("/seeds-")[0] for part in PARTS})
 RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r in c.values()})
 
 # A record may be shorter or longer than its experiment is. What else may differ is what it is
@@ -138,17 +138,17 @@ NAMELESS = {"maze-transfer-demo"} | {
     if re.match(r"ant-transfer-demo/(?!true|.*\b[48]-)|maze-retraining-demo/[48]-", folder)
 }
 FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.safetensors"}
-FILES |= {"frozen.safetensors", "carried.safetensors", "guide.safetensors"}
+FILES |= {f"{name}.safetensors" for name in inputs.CURES}
 
 
 def cells(folder, chapter=CHAPTER):
     return nbformat.read(folder / f"{chapter}.ipynb", as_version=4).cells
 
 
-def run_of(folder, plan):
+def run_of(folder, spec):
     """The name of the run that a record is of."""
-    variant = folder.split("/")[-1] if EXPERIMENTS[plan.experiment].variants else ""
-    return f"{plan.experiment}/{variant}".rstrip("/")
+    variant = folder.split("/")[-1] if EXPERIMENTS[spec.experiment].variants else ""
+    return f"{spec.experiment}/{variant}".rstrip("/")
 
 
 def test_what_is_named_is_recorded():
@@ -160,8 +160,8 @@ def test_what_primitives_offer_is_recorded_of_those_that_were_carried_over():
     for k in (4, 8):
         assert len(pushes[f"{k}-softmax"]) == 10
         for arm in ("gate", "gate-own-starts", "gate-expert-starts"):
-            plan = Plan.read(HOME / f"maze-retraining-full/{k}-{arm}")
-            assert plan.inherited["carried"]["digest"] == about["digests"][f"{k}-softmax"]
+            spec = RunSpec.read(HOME / f"maze-retraining-full/{k}-{arm}")
+            assert spec.inherited["pretrained_policy"]["digest"] == about["digests"][f"{k}-softmax"]
 
 
 def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, monkeypatch):
@@ -184,11 +184,15 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
     assert torch.equal(furthest, torch.tanh(means)[..., 0].min(2).values)
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
+def spec_of(folder):
+    return RunSpec.read(run_folders(HOME / folder)[0])
+
+
+@pytest.mark.parametrize("folder", PARTS)
 def test_a_record_says_what_produced_it(folder):
     names = {path.name for path in (HOME / folder).iterdir() if path.is_file()}
     assert {"config.json", "curve.csv", "run.json"} <= names <= FILES
-    plan, about = Plan.read(HOME / folder), read_json(HOME / folder / "run.json")
+    about = read_json(HOME / folder / "run.json")
     assert datetime.fromisoformat(about["started"]).tzinfo is not None
     assert set(about["versions"]) == set(PACKAGES)
     assert all(re.match(r"\d+\.\d+", version) for version in about["versions"].values())
@@ -198,47 +202,49 @@ def test_a_record_says_what_produced_it(folder):
     if folder not in EARLY:
         assert about["processor"]
         assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", about["commit"])
-    assert set(about["shards"]) == {"-".join(map(str, shard)) for shard in plan.shards}
+    assert about["step"] > 0
     assert about["state"]
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_a_record_is_of_the_experiment_that_it_names(folder):
-    plan = Plan.read(HOME / folder)
-    assert plan.scale in ("demo", "full")
-    expected = configure(run_of(folder, plan), plan.scale)
-    changed = set(differences(expected, plan.config)) - LENGTH
+    spec = spec_of(folder)
+    assert spec.scale in ("demo", "full")
+    expected = configure(run_of(folder, spec), spec.scale)
+    changed = set(differences(expected, spec.config)) - LENGTH
     assert changed == VARIED.get(folder, set()), "name in VARIED what a record is about"
-    assert len(set(plan.seeds)) == len(plan.seeds)
-    shown = plan.demonstrations
-    assert (shown is not None) == plan.config.learns_reward
+    seeds = records.read(HOME / folder).seeds
+    assert len(set(seeds)) == len(seeds)
+    shown = spec.demonstrations
+    assert (shown is not None) == spec.config.learns_reward
     if shown is not None:
         assert shown["trajectories"] > 0
-        assert shown.get("experts") == EXPERIMENTS[plan.experiment].experts[plan.scale]
+        assert shown.get("experts") == EXPERIMENTS[spec.experiment].experts[spec.scale]
         assert folder in EARLY or re.fullmatch(r"[0-9a-f]{64}", shown["digest"])
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_a_record_names_what_it_has_of_other_runs(folder, monkeypatch):
     monkeypatch.chdir(ROOT)
-    plan = Plan.read(HOME / folder)
-    needed = {INHERITED[name] for name in runs._heritable(plan.config)}
+    spec = spec_of(folder)
+    needed = set(inputs.needed(spec.config))
     if folder in NAMELESS:
         assert needed
-        assert not plan.inherited
+        assert not spec.inherited
         return
-    assert set(plan.inherited) == needed
-    kept = [Path(f) for about in plan.inherited.values() for f in about["files"]]
-    assert all(about["files"] for about in plan.inherited.values())
+    assert set(spec.inherited) == needed
+    kept = [Path(f) for about in spec.inherited.values() for f in about["files"]]
+    assert all(about["files"] for about in spec.inherited.values())
     # Policies of large networks are megabytes, and not here.
     assert all(path.is_file() for path in kept if path.parts[0] != "runs")
     if all(path.is_file() for path in kept):
-        runs._inherited(HOME / folder, plan, plan.seeds)  # It refuses what is something else.
+        inputs.recorded(HOME / folder, spec)  # It refuses what is something else.
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_a_curve_has_all_that_its_run_has_evaluated(folder):
-    run, about = records.read(HOME / folder), read_json(HOME / folder / "run.json")
+    run = records.read(HOME / folder)
+    states = {read_json(path / "run.json")["state"] for path in run_folders(HOME / folder)}
     config = run.config
     assert run.rows
     for row in run.rows:
@@ -247,7 +253,7 @@ def test_a_curve_has_all_that_its_run_has_evaluated(folder):
         assert len(row.returns) == config.eval_episodes
         assert row.mean_return == pytest.approx(np.mean(row.returns))
     assert len({(row.seed, row.step) for row in run.rows}) == len(run.rows)
-    if about["state"] == "finished":
+    if states == {"finished"}:
         kept = [seed not in run.diverged for seed in run.seeds]
         assert run.steps[-1] == config.total_steps
         assert not np.isnan(run.returns[kept]).any()
@@ -258,14 +264,14 @@ def test_a_curve_has_all_that_its_run_has_evaluated(folder):
 def test_what_a_figure_would_draw_is_a_record_of_that_run(run, scale):
     folder = record(run, scale)
     if folder not in FOLDERS:
-        assert not (HOME / folder / "curve.csv").exists()
+        assert not [*(HOME / folder).rglob("curve.csv")]
         return
-    plan = Plan.read(HOME / folder)
-    assert plan.scale == scale
+    spec = spec_of(folder)
+    assert spec.scale == scale
     # Recorded under another name it is the same at full scale, but for what it is about.
-    own = configure(run_of(folder, plan), "full")
+    own = configure(run_of(folder, spec), "full")
     about = VARIED.get(folder, set()) - {"eval_every"}
-    own = replace(own, **{name: getattr(plan.config, name) for name in about})
+    own = replace(own, **{name: getattr(spec.config, name) for name in about})
     assert differences(own, configure(run, "full")) == {}
 
 

@@ -1,6 +1,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,9 +21,8 @@ from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
-from offairl_lite.runs import cli, jobs
-from offairl_lite.runs import folders as runs
-from offairl_lite.runs.records import Plan, read
+from offairl_lite.runs import cli, folders, inputs, jobs, launch
+from offairl_lite.runs.records import RunSpec, read, run_folders
 
 SMALL = (
     "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
@@ -120,7 +120,7 @@ def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewher
 
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
     offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {SMALL}")
-    about = Plan.read(elsewhere / "thin").demonstrations
+    about = RunSpec.read(elsewhere / "thin").demonstrations
     assert (about["trajectories"], about["subsample"], about["experts"]) == (2, 20, 1)
     offairl("resume thin --steps 300")
     assert read(elsewhere / "thin").steps[-1] == 300
@@ -139,23 +139,25 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert (run.config.temperature, run.config.warmup_hold) == (None, 10.0)
     assert json.loads((folder / "run.json").read_text())["state"] == "finished"
     out = capsys.readouterr().out
-    assert "takes up to 0.2 MB of disk, mostly replay; processes: 1, updates: not compiled" in out
+    assert "takes up to 16.8 MB of disk, mostly replay; updates: not compiled" in out
     assert f"{run.rows[-1].mean_return:10.2f}" in out
     assert "recorded in runs/maze-imitation-demo" in out
 
     reward = folder / "reward.safetensors"
-    offairl(f"run maze-transfer --frozen {reward} --out transfer {SMALL}")
+    offairl(f"run maze-transfer --frozen-reward {reward} --out transfer {SMALL}")
     transfer = read(elsewhere / "transfer")
     assert transfer.config.env_id == "offairl/PointMazeRight-v0"
     assert torch.equal(transfer.reward.params, run.reward.params)
 
     policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
-    given = f"--frozen {reward} --carry policy --carried {policy} --start-steps 20"
+    given = f"--frozen-reward {reward} --carry policy --pretrained-policy {policy} --start-steps 20"
     offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
     assert read(elsewhere / "carried").config.start_steps == 20
-    sources = Plan.read(elsewhere / "carried").inherited
+    sources = RunSpec.read(elsewhere / "carried").inherited
     files = {name: about["files"] for name, about in sources.items()}
-    assert files == {"frozen": [str(reward)], "carried": [str(policy)], "guide": [str(guide)]}
+    assert files == dict(
+        zip(inputs.CURES, ([str(path)] for path in (reward, policy, guide)), strict=True)
+    )
     assert len(Policy.load(elsewhere / "carried" / "guide.safetensors")) == 2
     message = failure(f"run maze-transfer {given} --out other {SMALL}", capsys)
     assert "a guide of another run is needed: give --guide RUN/policy" in message
@@ -195,8 +197,7 @@ def test_watch_takes_a_task_or_a_policy_s_file(capsys, shipped_experts, elsewher
 def test_what_cannot_be_watched_is_said_before_it_is_drawn(
     line, message, capsys, shipped_experts, elsewhere
 ):
-    (elsewhere / "begun").mkdir()
-    (elsewhere / "begun" / "config.json").write_text("{}")
+    folders.create(elsewhere / "begun", EXPERIMENTS["maze-expert"].configs["demo"], (0,))
     assert re.search(message, failure(line, capsys))
     assert not list(elsewhere.rglob("*.mp4"))
 
@@ -232,9 +233,9 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
     [
         (
             "run maze-transfer",
-            "`offairl run maze-imitation`, then add --frozen runs/maze-imitation-demo/reward",
+            "`offairl run maze-imitation`, then add --frozen-reward runs/maze-imitation-demo",
         ),
-        ("run maze-transfer --frozen no.safetensors", "no reward at no.safetensors"),
+        ("run maze-transfer --frozen-reward no.safetensors", "no reward at no.safetensors"),
         (
             f"run --centre-reward maze-expert {SMALL}",
             "the defaults are those of maze-imitation at demo scale: name the experiment before",
@@ -286,15 +287,15 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
     write_dataset("my/pendulum-v0")
     task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --update-every 50"
     offairl(f"run imitate --out whole {task} {SMALL}")
-    advance = Trainer.advance
+    step = Trainer._step
 
     def stop(self):
         if self.steps == 150:
             raise KeyboardInterrupt
-        return advance(self)
+        return step(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "advance", stop)
+        patch.setattr(Trainer, "_step", stop)
         line = f"run imitate --out mine {task} {SMALL}"
         assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
     assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt()"
@@ -311,27 +312,26 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
 
 
 def test_a_scheduler_may_stop_a_run(capsys, elsewhere, monkeypatch):
-    advance = Trainer.advance
+    step = Trainer._step
 
     def stop(self):
         if self.steps == 150:
             os.kill(os.getpid(), signal.SIGTERM)
-        return advance(self)
+        return step(self)
 
-    monkeypatch.setattr(Trainer, "advance", stop)
+    monkeypatch.setattr(Trainer, "_step", stop)
     before = signal.getsignal(signal.SIGTERM)
     line = f"run maze-expert --out mine {SMALL}"
     assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
     assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt: SIGTERM"
-    line = "resume mine --members 0 1"
-    assert failure(line, capsys) == "offairl: stopped"
+    assert failure("resume mine", capsys) == "offairl: stopped; `offairl resume mine` goes on"
     assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_what_cannot_be_extended_is_left_as_it_was(capsys, elsewhere):
     offairl(f"run maze-expert --out mine {SMALL}")
     before = {path: path.read_bytes() for path in Path("mine").rglob("*") if path.is_file()}
-    for line in ("--steps 300 --seeds 1", "--steps 300 --members 0 1", "--processes 0"):
+    for line in ("--steps 300 --seeds 1", "--steps 100", "--processes 0"):
         assert failure(f"resume mine {line}", capsys).startswith("offairl: ")
     assert {path: path.read_bytes() for path in before} == before
 
@@ -397,12 +397,12 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
         assert read("one").config.env_id == "arm:Arm-v0"
         learned = net.init(Streams((0, 1))), Normaliser.identity(2, 3)
         Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
-        line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen one {small}"
-        offairl(f"{line} --carry policy --carried one --out two --processes 2")
+        line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen-reward one {small}"
+        offairl(f"{line} --carry policy --pretrained-policy one --out two --processes 2")
         assert read("two").steps.tolist() == [100, 200]
         offairl("verify two")
-        message = failure(f"{line} --carried one --out three", capsys)
-        assert "--carried one would not be used: add --carry policy" in message
+        message = failure(f"{line} --pretrained-policy one --out three", capsys)
+        assert "--pretrained-policy one would not be used: add --carry policy" in message
         assert not Path("three").exists()
     finally:
         for name in ("Arm-v0", "Heavy-v0"):
@@ -412,50 +412,72 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
 
 def test_a_folder_may_have_the_name_of_an_experiment(elsewhere):
     offairl(f"run --seeds 0 --out imitate --reward environment {SMALL}")
-    assert Plan.read(elsewhere / "imitate").experiment == "maze-imitation"
+    assert RunSpec.read(elsewhere / "imitate").experiment == "maze-imitation"
 
 
-def test_processes_share_the_members(capsys, elsewhere):
-    offairl(f"run maze-expert --out both {SMALL} --processes 2")
-    out = capsys.readouterr().out
-    assert "processes: 2" in out
+def test_processes_share_the_seeds(capsys, elsewhere):
+    line = f"run maze-expert --out both {SMALL} --processes 2"
+    offairl(line)
     run = read(elsewhere / "both")
     assert (len(run.policy), run.returns.shape) == (2, (2, 2))
-    assert Plan.read(elsewhere / "both").shards == ((0,), (1,))
-    assert "seed" not in (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
-    assert manifest(elsewhere / "both")["state"] == "finished"
+    names = [path.name for path in run_folders("both")]
+    assert names == ["seeds-0", "seeds-1"]
+    for path in run_folders("both"):
+        assert "seed" not in (path / "state" / "log.txt").read_text()
+        assert manifest(path)["state"] == "finished"
+    # The same command again finds all done; further seeds join them.
+    shutil.rmtree("both/seeds-1")
+    offairl(line)
+    assert torch.equal(read("both").policy.params, run.policy.params)
+    offairl("resume both --seeds 5 --steps 300")
+    assert (read("both").seeds, read("both").steps[-1]) == ((0, 1, 5), 300)
 
 
-def test_a_process_that_fails_is_told_of(capsys, elsewhere, monkeypatch):
-    offairl(f"run maze-expert --out both {SMALL} --total-steps 300 --seeds 0")
-    monkeypatch.setattr(runs, "work", lambda *_, **__: None)
-    offairl("resume both --seeds 1 --processes 1")
-    offairl("resume both --steps 400 --processes 1")
-    (elsewhere / "both" / "members" / "0" / "replay.f32").write_bytes(b"")
-    shards = [(0,), (1,)]
-    monkeypatch.setattr(runs, "unfinished", lambda _: shards)
+def test_what_is_given_of_other_runs_is_shared_out_with_the_seeds(elsewhere):
+    offairl(f"run maze-expert --out one {SMALL}")
+    given = "--carry policy --pretrained-policy one --start-steps 20 --guide one"
+    offairl(f"run maze-expert --out both {SMALL} {given} --processes 2 --prepare")
+    params = read("one").policy.params
+    for i, path in enumerate(run_folders("both")):
+        assert RunSpec.read(path).inherited["pretrained_policy"]["members"] == [i]
+        kept = [path / f"{name}.safetensors" for name in ("pretrained_policy", "guide")]
+        assert all(torch.equal(Policy.load(file).params, params[[i]]) for file in kept)
+        for file in kept:
+            file.unlink()  # As it is in a record.
+        given = inputs.recorded(path, RunSpec.read(path))
+        assert all(torch.equal(thing.params, params[[i]]) for thing in given.values())
+
+
+def test_a_process_that_fails_is_told_of(capsys, elsewhere):
+    offairl(f"run maze-expert --out both {SMALL} --processes 2")
+    offairl("resume both --steps 300")
+    folders.extend("both", 400)
+    log, replay = (Path("both/seeds-0/state") / name for name in ("log.txt", "replay.f32"))
+    content = bytearray(replay.read_bytes())
+    content[:] = bytes(len(content))
+    replay.write_bytes(content)
     message = failure("resume both --processes 2", capsys)
     assert message.endswith(
-        "1 of 2 shards failed, twice: see above; `offairl resume both` goes on with them"
+        "1 of 2 jobs failed, twice: see above; `offairl resume both` goes on with them"
     )
-    log = (elsewhere / "both" / "members" / "0" / "log.txt").read_text()
-    assert log.count("replay.f32 is damaged") == 2
+    assert log.read_text().count("replay.f32 is damaged") == 2
+    assert [row.step for row in read("both/seeds-1").rows] == [100, 200, 300, 400]
 
 
 def test_ctrl_c_stops_all_processes(elsewhere):
     line = f"run maze-expert --out both {SMALL} --total-steps 1000000 --processes 2"
     command = [sys.executable, "-m", "offairl_lite.runs.cli", *line.split()]
     parent = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    while not (elsewhere / "both").exists() or len(manifest(elsewhere / "both")["shards"]) < 2:
+    parts = [elsewhere / "both" / f"seeds-{seed}" for seed in (0, 1)]
+    while not all(part.exists() and manifest(part)["state"] == "running" for part in parts):
         time.sleep(0.1)
         assert parent.poll() is None
     parent.send_signal(signal.SIGINT)
     assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
     assert parent.returncode == 1
-    states = [shard["state"] for shard in manifest(elsewhere / "both")["shards"].values()]
-    assert states == ["stopped: KeyboardInterrupt()"] * 2
+    assert [manifest(part)["state"] for part in parts] == ["stopped: KeyboardInterrupt()"] * 2
     # Nobody holds the locks.
-    runs.extend(elsewhere / "both", 2_000_000)
+    folders.extend(elsewhere / "both", 2_000_000)
 
 
 @pytest.mark.parametrize(
@@ -471,14 +493,22 @@ def test_ctrl_c_stops_all_processes(elsewhere):
 def test_large_networks_are_compiled_and_spread(
     line, compiler, processes, compiled, capsys, monkeypatch
 ):
-    def create(*_, execution, shards, **__):
-        raise ValueError(f"{shards} {execution}")
+    made = []
+
+    def create(folder, *_, execution, **__):
+        made.append((folder.name, execution))
 
     monkeypatch.setattr("offairl_lite.core.acceleration.compiler", lambda: compiler)
     monkeypatch.setattr(jobs, "cores", lambda: 4)
-    monkeypatch.setattr(runs, "create", create)
-    expected = Execution("cpu", 1, compiled, onednn=processes > 1)
-    assert failure(line, capsys) == f"offairl: {processes} {expected}"
+    monkeypatch.setattr(folders, "create", create)
+    monkeypatch.setattr(launch, "_finish", lambda *_, **__: None)
+    offairl(line)
+    assert len(made) == processes
+    assert {execution for _, execution in made} == {
+        Execution("cpu", 1, compiled, onednn=processes > 1)
+    }
+    if processes == 4:
+        assert made[0][0] == "seeds-0-1-2"
 
 
 def test_a_record_is_verified(capsys, elsewhere):

@@ -26,15 +26,14 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.core.sac import SAC, stochastic_actor
 from offairl_lite.demonstrations import Demonstrations, load
-from offairl_lite.runs import disk, jobs, provenance, records
-from offairl_lite.runs import folders as runs
+from offairl_lite.runs import checkpoints, folders, inputs, provenance, records, worker
 
 MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
 SEEDS = (3, 7)
 
 # A server that has imported everything forks the processes that are killed.
 PROCESSES = multiprocessing.get_context("forkserver")
-PROCESSES.set_forkserver_preload(["offairl_lite.runs.folders"])
+PROCESSES.set_forkserver_preload(["offairl_lite.runs.worker"])
 
 
 @pytest.fixture
@@ -51,13 +50,13 @@ def folder(tmp_path):
 
 def run(folder, config, *, seeds=SEEDS, checkpoint_every=40, **given):
     """Make a run and take it to its end."""
-    runs.create(folder, config, seeds, checkpoint_every=checkpoint_every, **given)
-    runs.work(folder, demonstrations=given.get("demonstrations"), progress=False)
+    folders.create(folder, config, seeds, checkpoint_every=checkpoint_every, **given)
+    worker.work(folder, demonstrations=given.get("demonstrations"), progress=False)
     return folder
 
 
 def resume(folder):
-    runs.work(folder, progress=False)
+    worker.work(folder, progress=False)
 
 
 def manifest(folder):
@@ -85,16 +84,16 @@ class Broken(Exception):
 @pytest.fixture
 def interrupted(folder, plain, monkeypatch):
     """A run that was stopped at step 90, with a checkpoint at step 80."""
-    runs.create(folder, plain, SEEDS, checkpoint_every=40)
-    advance = Trainer.advance
+    folders.create(folder, plain, SEEDS, checkpoint_every=40)
+    step = Trainer._step
 
     def stop(self):
         if self.steps == 90:
             raise Broken("a stop")
-        return advance(self)
+        return step(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "advance", stop)
+        patch.setattr(Trainer, "_step", stop)
         with pytest.raises(Broken):
             resume(folder)
     return folder
@@ -103,7 +102,7 @@ def interrupted(folder, plain, monkeypatch):
 # Kills.
 
 
-def worker(folder, given, moment, times):
+def train(folder, given, moment, times):
     """Work on a run in a process of its own, which kills itself at some moment if one is named."""
     die_at(folder, moment, times)
     demonstrations = None
@@ -112,7 +111,7 @@ def worker(folder, given, moment, times):
         tensors = load_file(path)
         batch = Batch(*(tensors[name] for name in Batch._fields))
         demonstrations = Demonstrations(env_id, batch, lengths)
-    runs.work(folder, demonstrations=demonstrations, progress=False)
+    worker.work(folder, demonstrations=demonstrations, progress=False)
 
 
 def die_at(folder, moment, times):
@@ -125,7 +124,7 @@ def die_at(folder, moment, times):
     def die():
         os.kill(os.getpid(), signal.SIGKILL)
 
-    save, swap, lines = runs.save_weights, os.replace, runs.lines
+    save, swap, lines = checkpoints.save_weights, os.replace, worker.lines
 
     def save_half(path, tensors, about):
         save(path, tensors, about)
@@ -143,23 +142,22 @@ def die_at(folder, moment, times):
 
     def half_lines(rows):
         if due():
-            (curve,) = folder.glob("members/*/curve.csv")
             text = lines(rows)
-            with open(curve, "a") as file:
+            with open(folder / "curve.csv", "a") as file:
                 file.write(text[: len(text) * 3 // 4])
             die()
         return lines(rows)
 
     if moment == "half a checkpoint":
-        runs.save_weights = save_half
+        checkpoints.save_weights = save_half
     elif moment == "in a row":
-        runs.lines = half_lines
+        worker.lines = half_lines
     elif moment is not None:
         os.replace = swap_or_die
 
 
 def start(*args):
-    process = PROCESSES.Process(target=worker, args=args)
+    process = PROCESSES.Process(target=train, args=args)
     process.start()
     return process
 
@@ -209,7 +207,7 @@ def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plai
 
     def make(name):
         folder, given = tmp_path / name, {"demonstrations": demonstrations, **inherited(config)}
-        runs.create(folder, config, SEEDS, checkpoint_every=60, **given)
+        folders.create(folder, config, SEEDS, checkpoint_every=60, **given)
         return folder
 
     whole = make("whole")
@@ -241,7 +239,7 @@ def test_a_run_that_is_killed_at_the_worst_moments_is_the_same_run(moment, plain
     config = replace(plain, eval_every=25)
     whole = run(tmp_path / "whole", config)
     folder = tmp_path / "killed"
-    runs.create(folder, config, SEEDS, checkpoint_every=40)
+    folders.create(folder, config, SEEDS, checkpoint_every=40)
     for times in (1, 2):
         process = start(folder, None, moment, times)
         process.join()
@@ -257,7 +255,7 @@ def test_a_run_that_is_killed_before_it_exists_leaves_nothing(folder, plain, mon
 
     monkeypatch.setattr(os, "replace", stop)
     with pytest.raises(KeyboardInterrupt):
-        runs.create(folder, plain, SEEDS)
+        folders.create(folder, plain, SEEDS)
     assert list(folder.parent.iterdir()) == []
     with pytest.raises(FileNotFoundError, match=r"no run in .*one: .*`offairl run NAME"):
         resume(folder)
@@ -265,20 +263,21 @@ def test_a_run_that_is_killed_before_it_exists_leaves_nothing(folder, plain, mon
 
 def test_what_stops_a_run_is_noted_and_the_record_can_be_read(interrupted, folder, plain):
     assert manifest(folder)["state"] == "stopped: Broken: a stop"
-    assert manifest(folder)["shards"]["3-7"]["step"] == 80
+    assert manifest(folder)["step"] == 80
     run = records.read(folder)
     assert (run.config, run.seeds, run.steps.tolist()) == (plain, SEEDS, [50])
     assert (run.policy, run.reward) == (None, None)
 
 
 def test_a_record_can_be_read_at_any_time(folder, plain, monkeypatch):
-    advance, seen = Trainer.advance, set()
+    train, seen = Trainer.run, set()
 
-    def advance_and_read(self):
-        seen.add(len(records.read(folder).rows))
-        return advance(self)
+    def train_and_read(self):
+        for rows in train(self):
+            seen.add(len(records.read(folder).rows))
+            yield rows
 
-    monkeypatch.setattr(Trainer, "advance", advance_and_read)
+    monkeypatch.setattr(Trainer, "run", train_and_read)
     run(folder, plain)
     assert seen == {0, 2}
 
@@ -290,7 +289,7 @@ def test_the_manifest_says_what_made_the_run(interrupted, folder):
     assert first["processor"]
     assert (first["threads"], first["cores"]) == (1, os.cpu_count())
     commit = subprocess.run(
-        ["git", "-C", Path(runs.__file__).parent, "rev-parse", "HEAD"], capture_output=True
+        ["git", "-C", Path(folders.__file__).parent, "rev-parse", "HEAD"], capture_output=True
     ).stdout.decode()
     assert (first["commit"] or "")[:40] == commit.strip()
     resume(folder)
@@ -308,7 +307,7 @@ def test_an_extended_run_is_the_longer_run(replay_size, plain, tmp_path):
     config = replace(plain, replay_size=replay_size)
     whole = run(tmp_path / "whole", replace(config, total_steps=200))
     folder = run(tmp_path / "extended", config)
-    runs.extend(folder, 200)
+    folders.extend(folder, 200)
     assert manifest(folder)["state"] == "waiting"
     resume(folder)
     assert records.read(folder).config.total_steps == 200
@@ -319,13 +318,13 @@ def test_seeds_are_added_beside_those_there(plain, tmp_path):
     alone = run(tmp_path / "alone", plain, seeds=(5, 6))
     first = run(tmp_path / "first", plain)
     folder = shutil.copytree(first, tmp_path / "extended")
-    before = files(folder / "members" / "3-7")
-    runs.extend(folder, seeds=(5, 6))
+    before = files(folder)
+    folders.extend(folder, seeds=(5, 6))
     assert records.read(folder).policy is None
-    resume(folder)
+    assert records.run_folders(folder) == [folder, folder / "seeds-5-6"]
+    resume(folder / "seeds-5-6")
     assert {path: path.read_bytes() for path in before} == before
-    split = run(tmp_path / "split", plain, seeds=(3, 7, 5, 6), shards=2)
-    assert_same(folder, split)
+    assert_same(folder / "seeds-5-6", alone)
     both, parts = records.read(folder), [records.read(part) for part in (first, alone)]
     assert both.seeds == (3, 7, 5, 6)
     np.testing.assert_array_equal(both.returns, np.concatenate([part.returns for part in parts]))
@@ -334,19 +333,11 @@ def test_seeds_are_added_beside_those_there(plain, tmp_path):
     assert torch.equal(both.policy.act(obs), torch.cat(acts))
     order = [(row.step, row.seed) for row in both.rows]
     assert order == [(step, seed) for step in (50, 100) for seed in both.seeds]
-
-
-def test_a_shard_can_be_worked_on_alone(plain, folder):
-    runs.create(folder, plain, (3, 7, 5), shards=2)
-    with pytest.raises(ValueError, match=r"no members \[7\] of their own; there are: 3 7, 5"):
-        runs.work(folder, (7,))
-    runs.work(folder, (5,), progress=False)
-    assert manifest(folder)["state"] == "waiting"
-    assert runs.unfinished(folder) == [(3, 7)]
-    assert {row.seed for row in records.read(folder).rows} == {5}
-    resume(folder)
-    assert manifest(folder)["state"] == "finished"
-    assert len(records.read(folder).policy) == 3
+    # All of them are extended together, and further seeds stand beside the others.
+    folders.extend(folder, 150, (9,))
+    for path in records.run_folders(folder):
+        resume(path)
+    assert (records.read(folder).seeds, records.read(folder).steps[-1]) == ((3, 7, 5, 6, 9), 150)
 
 
 def test_a_run_that_has_ended_is_left_as_it_is(plain, folder):
@@ -359,15 +350,15 @@ def test_a_run_that_has_ended_is_left_as_it_is(plain, folder):
 def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
     before = files(folder)
     with pytest.raises(ValueError, match="reached step 80; it cannot end at 70"):
-        runs.extend(folder, 70)
+        folders.extend(folder, 70)
     with pytest.raises(ValueError, match=r"seeds \[7\] are not all new: there are \[3, 7\]"):
-        runs.extend(folder, seeds=(7,))
+        folders.extend(folder, seeds=(7,))
     with pytest.raises(ValueError, match=r"not all new"):
-        runs.extend(folder, 200, (8, 8))  # Nor is it extended to 200 steps.
+        folders.extend(folder, 200, (8, 8))  # Nor is it extended to 200 steps.
     with pytest.raises(ValueError, match="give it steps, or seeds"):
-        runs.extend(folder)
+        folders.extend(folder)
     with pytest.raises(ValueError, match="expected none below 0"):
-        runs.extend(folder, seeds=(-1,))
+        folders.extend(folder, seeds=(-1,))
     assert files(folder) == before
 
 
@@ -388,18 +379,18 @@ def inherited(config):
     if config.reward != "frozen":
         return {}
     guide = policy(replace(config, primitives=None, carry="nothing"))
-    return {"reward": frozen_reward(2), "policy": policy(config), "guide": guide}
+    return {"frozen_reward": frozen_reward(2), "pretrained_policy": policy(config), "guide": guide}
 
 
 def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
     config = replace(plain, carry="policy", start_steps=20)
-    folder, given = tmp_path / "run", {"policy": policy(plain), "guide": policy(plain)}
-    runs.create(folder, config, SEEDS, shards=2, checkpoint_every=40, **given)
+    folder, given = tmp_path / "run", {"pretrained_policy": policy(plain), "guide": policy(plain)}
+    folders.create(folder, config, SEEDS, checkpoint_every=40, **given)
     resume(folder)
     assert records.read(folder).policy is not None
-    with pytest.raises(ValueError, match="of another run the policy and the guide, of 2 members"):
-        runs.extend(folder, seeds=(8,))
-    runs.extend(folder, 200)
+    with pytest.raises(ValueError, match="the pretrained policy and the guide, of 2 members"):
+        folders.extend(folder, seeds=(8,))
+    folders.extend(folder, 200)
     changed = replace(given["guide"], params=given["guide"].params + 1)
     changed.save(folder / "guide.safetensors")
     with pytest.raises(ValueError, match=r"guide\.safetensors is not the guide .* put that back"):
@@ -408,14 +399,13 @@ def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
 
 def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folder):
     run(folder, plain)
-    (shard,) = records.Plan.read(folder).shards
-    path = runs.home(folder, shard) / "checkpoint.safetensors"
+    path = folder / "state" / "checkpoint.safetensors"
     state, about = load_weights(path, "checkpoint")
     for name in ("carry", "start_steps"):
         del about["identity"][name]
     del about["digest"], state["guided"]
-    save_weights(path, state, {**about, "digest": runs._digest(state, about)})
-    runs.extend(folder, 200)
+    save_weights(path, state, {**about, "digest": inputs.digest(state, about)})
+    folders.extend(folder, 200)
     resume(folder)
     assert records.read(folder).steps[-1] == 200
 
@@ -423,14 +413,14 @@ def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folde
 def test_a_frozen_reward_is_kept_and_must_stay(plain, tmp_path):
     config, reward = replace(plain, reward="frozen"), frozen_reward(3)
     folder = tmp_path / "run"
-    runs.create(folder, config, (3, 7, 5), reward=reward, shards=2, checkpoint_every=40)
+    folders.create(folder, config, (3, 7, 5), frozen_reward=reward, checkpoint_every=40)
     resume(folder)
     assert torch.equal(records.read(folder).reward.params, reward.params)
-    with pytest.raises(ValueError, match="of another run the reward, of 3 members"):
-        runs.extend(folder, seeds=(8,))
-    runs.extend(folder, 200)
-    replace(reward, params=reward.params + 1).save(folder / "frozen.safetensors")
-    with pytest.raises(ValueError, match=r"frozen\.safetensors is not the reward .* put that"):
+    with pytest.raises(ValueError, match="of another run the frozen reward, of 3 members"):
+        folders.extend(folder, seeds=(8,))
+    folders.extend(folder, 200)
+    replace(reward, params=reward.params + 1).save(folder / "frozen_reward.safetensors")
+    with pytest.raises(ValueError, match=r"frozen_reward\.safetensors is not .* put that"):
         resume(folder)
 
 
@@ -440,7 +430,7 @@ def test_guides_of_several_files_take_turns(plain, tmp_path):
         guides.member(member).save(tmp_path / str(member))
     config = replace(plain, start_steps=20)
     files = tmp_path / "1", tmp_path / "0"
-    given = runs.inherit(config, (3, 7, 5, 9, 2), guide=files)["guide"]
+    given = inputs.load(config, (3, 7, 5, 9, 2), guide=files)["guide"]
     assert torch.equal(given.params, guides.params[[1, 0, 1, 0, 1]])
 
 
@@ -448,12 +438,15 @@ def test_rewards_of_several_files_are_one_population(plain, tmp_path):
     config, reward = replace(plain, reward="frozen"), frozen_reward(3)
     reward.member(0, 1).save(tmp_path / "two")
     reward.member(2).save(tmp_path / "one")
-    given = runs.inherit(config, SEEDS, frozen=(tmp_path / "two", tmp_path / "one"))["reward"]
+    files = tmp_path / "two", tmp_path / "one"
+    given = inputs.load(config, (3, 7, 5), frozen_reward=files)["frozen_reward"]
     assert torch.equal(given.params, reward.params)
     assert torch.equal(given.normaliser.std, reward.normaliser.std)
     replace(reward, state_only=False).save(tmp_path / "other")
     with pytest.raises(ValueError, match="members of one population must be of one kind"):
-        runs.inherit(config, SEEDS, frozen=(tmp_path / "two", tmp_path / "other"))
+        inputs.load(config, SEEDS, frozen_reward=(tmp_path / "two", tmp_path / "other"))
+    with pytest.raises(ValueError, match="frozen reward has 3 members for 2 seeds: give as many"):
+        inputs.load(config, SEEDS, frozen_reward=files)
 
 
 # Damage.
@@ -480,7 +473,7 @@ def refused(folder, message, kind=ValueError):
 
 
 def test_any_damaged_byte_of_a_checkpoint_is_noticed(interrupted, folder):
-    path = folder / "members" / "3-7" / "checkpoint.safetensors"
+    path = folder / "state" / "checkpoint.safetensors"
     sound, rng = path.read_bytes(), np.random.default_rng(0)
     header = 8 + int.from_bytes(sound[:8], "little")
     places = [0, 3, 8, header - 1, header, len(sound) - 1]
@@ -496,7 +489,7 @@ def test_any_damaged_byte_of_a_checkpoint_is_noticed(interrupted, folder):
     for length in (0, 5, header - 3, header + 3, len(sound) - 1):
         path.write_bytes(sound[:length])
         refused(folder, "checkpoint.safetensors is damaged: .*; bring all of")
-    shutil.copy(folder / "members" / "3-7" / "curve.csv", path)
+    shutil.copy(folder / "curve.csv", path)
     refused(folder, "checkpoint.safetensors is damaged")
     path.write_bytes(sound)
     resume(folder)
@@ -512,9 +505,8 @@ def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_
         (plain, SEEDS, "replay.f32 is damaged: it is not as it was at the checkpoint"),
     ]:
         run(other, config, seeds=seeds)
-        (home,) = (other / "members").glob("*-*")
-        for name in ("checkpoint.safetensors", "curve.csv"):
-            shutil.copy(home / name, folder / "members" / "3-7")
+        for name in ("state/checkpoint.safetensors", "curve.csv"):
+            shutil.copy(other / name, folder / name)
         refused(folder, message)
         shutil.rmtree(other)
 
@@ -529,8 +521,8 @@ def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_
         ({"config__momentum": 2}, "config.json does not describe a run: .*momentum"),
         ({"execution__threads": 2}, "threads was 1, is 2"),
         ({"checkpoint_every": 70}, "checkpoint_every was 40, is 70"),
-        ({"shards": [[3, 8]]}, r"has lost the shards \['3-7'\]"),
-        ({"format": 1}, "config.json has format 1, .* reads format 2: use the version"),
+        ({"seeds": [3, 8]}, r"seeds was \[3, 7\], is \[3, 8\]"),
+        ({"format": 1}, "config.json has format 1, .* reads format 3: use the version"),
     ],
 )
 def test_a_changed_configuration_is_refused(interrupted, folder, change, message):
@@ -539,45 +531,44 @@ def test_a_changed_configuration_is_refused(interrupted, folder, change, message
 
 
 def test_a_checkpoint_of_an_older_format_is_refused(interrupted, folder):
-    path = folder / "members" / "3-7" / "checkpoint.safetensors"
+    path = folder / "state" / "checkpoint.safetensors"
     state, about = networks.load_weights(path, "checkpoint")
     networks.save_weights(path, state, {**about, "format": 1})
-    refused(folder, "checkpoint.safetensors has format 1, .* reads format 2: use the version")
+    refused(folder, "checkpoint.safetensors has format 1, .* reads format 3: use the version")
 
 
 def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
-    home = folder / "members" / "3-7"
-    for name in ("replay.f32", "curve.csv"):
-        content = (home / name).read_bytes()
-        (home / name).write_bytes(content[:100])
+    for path in (folder / "state" / "replay.f32", folder / "curve.csv"):
+        name, content = path.name, path.read_bytes()
+        path.write_bytes(content[:100])
         refused(folder, f"{name} is damaged: it had .* bytes, and has 100; bring")
-        (home / name).unlink()
+        path.unlink()
         refused(folder, f"{name} is damaged: .* has 0;")
-        (home / name).write_bytes(bytes(len(content)) if name == "replay.f32" else content)
+        path.write_bytes(bytes(len(content)) if name == "replay.f32" else content)
         if name == "replay.f32":
             refused(folder, "replay.f32 is damaged: it is not as it was")
-            (home / name).write_bytes(content)
-    (home / "checkpoint.safetensors").unlink()
+            path.write_bytes(content)
+    (folder / "state" / "checkpoint.safetensors").unlink()
     refused(folder, "checkpoint.safetensors is gone, and .* step 80", FileNotFoundError)
     # As it is where a record was copied without it.
-    shutil.rmtree(folder / "members")
+    shutil.rmtree(folder / "state")
     refused(folder, "checkpoint.safetensors is gone", FileNotFoundError)
     with pytest.raises(FileNotFoundError, match="is gone"):
-        runs.extend(folder, 200)
-    assert not (folder / "members").exists()
+        folders.extend(folder, 200)
+    assert not (folder / "state").exists()
 
 
 def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonstrations):
-    runs.create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
+    folders.create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
     with pytest.raises(ValueError, match="3 trajectories from elsewhere are not those"):
-        runs.work(folder, demonstrations=random_demonstrations(MAZE, 3))
-    with pytest.raises(ValueError, match=r"has not made: give the same to `runs.work` again"):
-        runs.work(folder)
+        worker.work(folder, demonstrations=random_demonstrations(MAZE, 3))
+    with pytest.raises(ValueError, match=r"did not make: give the same to `worker.work` again"):
+        worker.work(folder)
 
 
 def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
     shown = load(MAZE, 2, experts=1)
-    runs.create(folder, tiny, SEEDS, demonstrations=shown)
+    folders.create(folder, tiny, SEEDS, demonstrations=shown)
     resume(folder)
     assert records.read(folder).steps[-1] == tiny.total_steps
 
@@ -586,8 +577,8 @@ def test_demonstrations_are_thinned_again_on_resume(tiny, folder, write_dataset)
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
     thin = load(config.env_id, 2, name, subsample=20, experts=1)
-    runs.create(folder, config, SEEDS, demonstrations=thin)
-    assert records.Plan.read(folder).demonstrations["experts"] is None  # They are by none of ours.
+    folders.create(folder, config, SEEDS, demonstrations=thin)
+    assert records.RunSpec.read(folder).demonstrations["experts"] is None
     resume(folder)
     assert records.read(folder).steps[-1] == config.total_steps
 
@@ -596,7 +587,7 @@ def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_datase
     name = write_dataset("my/pendulum-v0").spec.dataset_id
     config = replace(tiny, env_id="Pendulum-v1")
     whole = load(config.env_id, 2, name)
-    runs.create(folder, config, SEEDS, demonstrations=whole)
+    folders.create(folder, config, SEEDS, demonstrations=whole)
     about = json.loads((folder / "config.json").read_text())
     assert about["demonstrations"].pop("subsample") == 1
     (folder / "config.json").write_text(json.dumps(about))
@@ -607,13 +598,13 @@ def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_datase
 def test_a_run_may_be_made_where_one_stands_and_behind_a_link(plain, tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
-    runs.create(tmp_path / "link", plain, SEEDS)
+    folders.create(tmp_path / "link", plain, SEEDS)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    runs.create(".", plain, SEEDS)
+    folders.create(".", plain, SEEDS)
     resume(".")
     for folder in (tmp_path / "elsewhere", tmp_path / "here"):
-        assert records.Plan.read(folder).config == plain
+        assert records.RunSpec.read(folder).config == plain
     assert manifest(tmp_path / "here")["state"] == "finished"
     assert {path.name for path in tmp_path.iterdir()} == {"elsewhere", "link", "here"}
 
@@ -621,63 +612,63 @@ def test_a_run_may_be_made_where_one_stands_and_behind_a_link(plain, tmp_path, m
 def test_nothing_is_overwritten(interrupted, folder, plain):
     before = files(folder)
     with pytest.raises(FileExistsError, match=r"not empty: `offairl resume .*one` goes on"):
-        runs.create(folder, plain, (0,))
+        folders.create(folder, plain, (0,))
     assert files(folder) == before
 
 
-def test_two_processes_do_not_share_a_shard(folder, plain):
-    runs.create(folder, replace(plain, total_steps=100_000), SEEDS)
+def test_two_processes_do_not_share_a_run_folder(folder, plain):
+    folders.create(folder, replace(plain, total_steps=100_000), SEEDS)
     process = start(folder, None, None, 0)
     while manifest(folder)["state"] != "running":
         time.sleep(0.01)
         assert process.is_alive()
     for attempt in (
         lambda: resume(folder),
-        lambda: runs.extend(folder, 200),
-        lambda: runs.extend(folder, seeds=(8,)),
+        lambda: folders.extend(folder, 200),
+        lambda: folders.extend(folder, seeds=(8,)),
     ):
-        with pytest.raises(OSError, match=r"another process is at work on .*3-7: let it finish"):
+        with pytest.raises(OSError, match=r"another process is at work on .*one: let it finish"):
             attempt()
     process.kill()
     process.join()
-    runs.extend(folder, 200)
+    folders.extend(folder, 200)
     resume(folder)
     assert records.read(folder).steps[-1] == 200
 
 
 @pytest.mark.parametrize("steps", [100, 150])
-def test_a_stop_before_the_end_is_published_loses_nothing(steps, folder, plain, tmp_path):
+def test_a_stop_before_the_end_is_noted_loses_nothing(steps, folder, plain, tmp_path):
     whole = run(tmp_path / "whole", plain)
     run(folder, plain)
     if steps > 100:  # The policy of before the run was extended is there still.
         for one in (whole, folder):
-            runs.extend(one, steps)
+            folders.extend(one, steps)
         resume(whole)
-    before = runs._publish
+    before = worker._Worker._note
 
-    def publish(folder, shard=None, status=None):
-        if status and status["state"] == "finished":
+    def note(self, state):
+        if state == "finished":
             raise Broken("a stop")
-        before(folder, shard, status)
+        before(self, state)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "_publish", publish)
+        patch.setattr(worker._Worker, "_note", note)
         if steps == 100:
             shutil.rmtree(folder)
-            runs.create(folder, plain, SEEDS, checkpoint_every=40)
+            folders.create(folder, plain, SEEDS, checkpoint_every=40)
         with pytest.raises(Broken):
             resume(folder)
-    assert runs.unfinished(folder) == [SEEDS]
+    assert not worker.is_finished(folder)
     resume(folder)
     assert manifest(folder)["state"] == "finished"
-    assert runs.unfinished(folder) == []
+    assert worker.is_finished(folder)
     assert_same(folder, whole)
 
 
 def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog):
     began = manifest(folder)
     monkeypatch.setattr(provenance, "processor", lambda: "an abacus")
-    runs.extend(folder, 150)
+    folders.extend(folder, 150)
     resume(folder)
     ended = manifest(folder)
     (later,) = ended["continued"]
@@ -686,7 +677,7 @@ def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog
     assert ended["processor"] == began["processor"]
     assert "goes on from step 80 with other processor: an abacus, before" in caplog.text
     # The same once more is no news.
-    runs.extend(folder, 200)
+    folders.extend(folder, 200)
     resume(folder)
     assert manifest(folder)["continued"] == [later]
 
@@ -695,59 +686,30 @@ def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch)
     monkeypatch.setattr(
         Trainer, "_step", lambda self: self._give_up("eye", torch.ones(2) > 0, "look")
     )
-    runs.create(folder, plain, SEEDS)
+    folders.create(folder, plain, SEEDS)
     with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is not finite"):
         resume(folder)
     assert manifest(folder)["state"] == "stopped: every member has diverged"
     assert list(records.read(str(folder)).diverged) == list(SEEDS)
 
 
-@pytest.mark.filterwarnings("ignore:seed . diverged")
-def test_who_diverges_before_there_is_a_policy_has_one_of_zeros(folder, plain, monkeypatch):
-    step = Trainer._step
-
-    def first_is_lost(self):
-        if 3 in self.seeds:
-            self._give_up("eye", torch.ones(1) > 0, "look")
-        return step(self)
-
-    monkeypatch.setattr(Trainer, "_step", first_is_lost)
-    runs.create(folder, plain, SEEDS, shards=2)
-    resume(folder)
-    kept = records.read(folder).policy
-    assert len(kept) == 2
-    assert (kept.params[0] == 0).all()
-    assert not (kept.params[1] == 0).all()
-
-
-def test_many_seeds_make_a_name_that_a_disk_takes(folder, plain):
-    seeds = tuple(range(10**9, 10**9 + 30))
-    assert runs.home(folder, SEEDS).name == "3-7"
-    name = runs.home(folder, seeds).name
-    assert len(name) < 40
-    assert name != runs.home(folder, (seeds[0], *seeds[1:-1][::-1], seeds[-1])).name
-    runs.create(folder, plain, seeds)
-    (job,) = jobs.of(folder)
-    assert job.shard == runs.home(folder, seeds)
-
-
-@pytest.mark.parametrize("what", ["frozen", "carried", "guide"])
+@pytest.mark.parametrize("what", ["frozen-reward", "pretrained-policy", "guide"])
 def test_what_would_not_be_used_is_refused(what, plain, tmp_path):
-    files = {what: (tmp_path / "policy.safetensors",)}
+    files = {what.replace("-", "_"): (tmp_path / "policy.safetensors",)}
     with pytest.raises(ValueError, match=rf"--{what} .*policy.safetensors would not be used: add "):
-        runs.require_use([plain], **files)
+        inputs.require_use([plain], **files)
     uses = replace(plain, reward="frozen", carry="policy", start_steps=20)
-    runs.require_use([plain, uses], **files)
-    runs.require_use([plain], **{what: ()})
+    inputs.require_use([plain, uses], **files)
+    inputs.require_use([plain], **{what.replace("-", "_"): ()})
 
 
 def test_a_run_s_folder_stands_for_what_it_has(plain, tmp_path):
     frozen_reward(2).save(tmp_path / "reward.safetensors")
     policy(plain).save(tmp_path / "policy.safetensors")
     config = replace(plain, reward="frozen", carry="policy")
-    found = runs.inherit(config, SEEDS, frozen=[tmp_path], carried=[tmp_path])
-    assert torch.equal(found["reward"].params, frozen_reward(2).params)
-    assert torch.equal(found["policy"].params, policy(plain).params)
+    found = inputs.load(config, SEEDS, frozen_reward=[tmp_path], pretrained_policy=[tmp_path])
+    assert torch.equal(found["frozen_reward"].params, frozen_reward(2).params)
+    assert torch.equal(found["pretrained_policy"].params, policy(plain).params)
 
 
 def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
@@ -755,23 +717,25 @@ def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _: usage)
         with pytest.raises(OSError, match=r"needs .* MB of disk.* has 0.1 MB left: lower replay_s"):
-            runs.create(folder, plain, SEEDS)
+            folders.create(folder, plain, SEEDS)
     assert not folder.parent.exists()
     run(folder, plain)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _: usage)
         with pytest.raises(OSError, match=r"needs .* MB of disk"):
-            runs.extend(folder, 100_000)
+            folders.extend(folder, 100_000)
         with pytest.raises(OSError, match=r"needs .* MB of disk"):
-            runs.extend(folder, seeds=tuple(range(10, 40)))
+            folders.extend(folder, seeds=tuple(range(10, 40)))
     assert records.read(folder).config == plain
 
 
-@pytest.mark.parametrize("name", ["save_weights", "lines", "merged"])
-def test_a_full_disk_loses_nothing(name, folder, plain, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("module", "name"), [(checkpoints, "save_weights"), (worker, "lines"), (worker, "write_json")]
+)
+def test_a_full_disk_loses_nothing(module, name, folder, plain, tmp_path, monkeypatch):
     whole = run(tmp_path / "whole", plain)
-    runs.create(folder, plain, SEEDS, checkpoint_every=40)
-    original, calls = getattr(runs, name), iter(range(100))
+    folders.create(folder, plain, SEEDS, checkpoint_every=40)
+    original, calls = getattr(module, name), iter(range(100))
 
     def write(*args):
         if next(calls) == 1:
@@ -779,7 +743,7 @@ def test_a_full_disk_loses_nothing(name, folder, plain, tmp_path, monkeypatch):
         return original(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(runs, name, write)
+        patch.setattr(module, name, write)
         message = r"the disk of .*one is full: free .* MB, and `offairl resume .*one` goes on"
         with pytest.raises(OSError, match=message):
             resume(folder)
@@ -792,13 +756,12 @@ def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
     config = replace(tiny, **KILLED[case])
     demonstrations = given(config.env_id)[0] if config.learns_reward else None
     run(folder, config, demonstrations=demonstrations, **inherited(config))
-    home = folder / "members" / "3-7"
-    replay, checkpoint = (
-        (home / f).stat().st_size for f in ("replay.f32", "checkpoint.safetensors")
-    )
+    used = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     # While it is written, a second checkpoint is there.
-    used, foreseen = replay + 2 * checkpoint, disk.use(records.Plan.read(folder))
-    assert 0.4 * foreseen < used < foreseen
+    used += (folder / "state" / "checkpoint.safetensors").stat().st_size
+    foreseen = checkpoints.disk_space(records.RunSpec.read(folder))
+    replay = (folder / "state" / "replay.f32").stat().st_size
+    assert used < foreseen == replay + len(SEEDS) * checkpoints.MARGIN
 
 
 # Divergence.
@@ -819,7 +782,7 @@ def diverging(*members):
 
 def test_a_member_that_diverges_is_given_up_alone(folder, plain, monkeypatch):
     monkeypatch.setattr(SAC, "update", diverging(1))
-    runs.create(folder, replace(plain, total_steps=150), SEEDS, checkpoint_every=40)
+    folders.create(folder, replace(plain, total_steps=150), SEEDS, checkpoint_every=40)
     with pytest.warns(UserWarning, match="seed 7 diverged by step 80"):
         resume(folder)
     run = records.read(folder)
@@ -828,45 +791,47 @@ def test_a_member_that_diverges_is_given_up_alone(folder, plain, monkeypatch):
     assert run.diverged[7].startswith("seed 7 diverged by step 80: its ")
     assert manifest(folder)["state"] == "finished"
     # It is remembered.
-    runs.extend(folder, 200)
+    folders.extend(folder, 200)
     resume(folder)
     assert list(records.read(folder).diverged) == [7]
     assert len(records.read(folder).rows) == 5
 
 
 @pytest.mark.filterwarnings("ignore:seed . diverged")
-def test_a_shard_that_diverges_leaves_the_others_alone(folder, plain, monkeypatch):
-    monkeypatch.setattr(SAC, "update", diverging(0))
-    runs.create(folder, plain, SEEDS, shards=2, checkpoint_every=40)
+def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypatch):
+    monkeypatch.setattr(SAC, "update", diverging(0, 1))
+    folders.create(folder, plain, SEEDS, checkpoint_every=40)
     resume(folder)
     assert manifest(folder)["state"] == "stopped: every member has diverged"
     assert list(records.read(folder).diverged) == [3, 7]
+    assert worker.is_finished(folder)
     monkeypatch.undo()
-    runs.extend(folder, seeds=(5,))
-    resume(folder)
-    assert manifest(folder)["state"] == "finished"
-    assert [(r.seed, r.step) for r in records.read(folder).rows[2:]] == [(5, 50), (5, 100)]
-    assert len(records.read(folder).policy) == 3
+    folders.extend(folder, seeds=(5,))
+    resume(folder / "seeds-5")
+    found = records.read(folder)
+    assert [(r.seed, r.step) for r in found.rows if r.seed == 5] == [(5, 50), (5, 100)]
+    assert list(found.diverged) == [3, 7]
+    assert len(found.policy) == 3
 
 
 def test_a_record_is_verified_without_its_checkpoints(plain, folder):
     run(folder, replace(plain, total_steps=150))
-    shutil.rmtree(folder / "members")
+    shutil.rmtree(folder / "state")
     recorded = records.read(folder).rows
     for evaluations in (1, 3):
-        olds, news = zip(*runs.verify(folder, evaluations, progress=False), strict=True)
+        olds, news = zip(*folders.verify(folder, evaluations, progress=False), strict=True)
         # As lines, since a learned return that is NaN is not equal to itself.
         assert records.lines(olds) == records.lines(recorded[: 2 * evaluations])
         assert records.lines(news) == records.lines(olds)
     with pytest.raises(ValueError, match=r"evaluations is 4; .* has 3 to do again"):
-        runs.verify(folder, 4)
+        folders.verify(folder, 4)
 
 
 @pytest.mark.filterwarnings("ignore:seed . diverged")
 def test_a_member_that_diverges_here_alone_is_not_verified(plain, folder, monkeypatch):
     run(folder, plain)
     monkeypatch.setattr(SAC, "update", diverging(1))
-    pairs = runs.verify(folder, 2, progress=False)
+    pairs = folders.verify(folder, 2, progress=False)
     assert [(old.seed, old.step, new is None) for old, new in pairs] == [
         (3, 50, False),
         (7, 50, False),
@@ -879,7 +844,7 @@ def test_a_member_that_diverges_here_alone_is_not_verified(plain, folder, monkey
 def test_where_every_member_diverges_here_nothing_is_verified(plain, folder, monkeypatch):
     run(folder, plain)
     monkeypatch.setattr(SAC, "update", diverging(0, 1))
-    pairs = runs.verify(folder, 2, progress=False)
+    pairs = folders.verify(folder, 2, progress=False)
     assert [(old.step, new is None) for old, new in pairs] == [
         (50, False),
         (50, False),
@@ -888,38 +853,38 @@ def test_where_every_member_diverges_here_nothing_is_verified(plain, folder, mon
     ]
 
 
-def test_only_the_first_shard_is_verified(plain, folder):
-    run(folder, plain, shards=2)
-    assert [new.seed for _, new in runs.verify(folder, progress=False)] == [3]
+def test_of_several_run_folders_the_first_is_verified(plain, folder):
+    for seed in (7, 3):
+        run(folder / f"seeds-{seed}", plain, seeds=(seed,))
+    assert [new.seed for _, new in folders.verify(folder, progress=False)] == [3]
 
 
 def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrations):
     with pytest.raises(FileNotFoundError, match="there is no run in"):
-        runs.verify(folder)
+        folders.verify(folder)
     policy = Trainer(plain, SEEDS)
-    while policy.generator is None:
-        policy.advance()
-    run(folder, replace(plain, carry="policy"), policy=policy.generator.policy)
-    assert len(runs.verify(folder, progress=False)) == 2
-    (folder / "carried.safetensors").unlink()
-    with pytest.raises(FileNotFoundError, match=r"carried\.safetensors"):
-        runs.verify(folder)
+    next(rows for rows in policy.run() if policy.policy is not None)
+    run(folder, replace(plain, carry="policy"), pretrained_policy=policy.policy)
+    assert len(folders.verify(folder, progress=False)) == 2
+    (folder / "pretrained_policy.safetensors").unlink()
+    with pytest.raises(FileNotFoundError, match=r"pretrained_policy\.safetensors"):
+        folders.verify(folder)
 
 
 def test_a_record_finds_what_it_had_of_other_runs_where_it_was(plain, folder, tmp_path):
     config = replace(plain, reward="frozen", carry="policy", start_steps=20)
-    sources = {name: (tmp_path / name,) for name in ("frozen", "carried", "guide")}
-    frozen_reward(2).save(*sources["frozen"])
-    policy(plain).save(*sources["carried"])
+    sources = {name: (tmp_path / name,) for name in inputs.CURES}
+    frozen_reward(2).save(*sources["frozen_reward"])
+    policy(plain).save(*sources["pretrained_policy"])
     policy(plain).member(1).save(*sources["guide"])  # One for both.
-    run(folder, config, **runs.inherit(config, SEEDS, **sources), sources=sources)
-    expected = runs.verify(folder, progress=False)
+    run(folder, config, **inputs.load(config, SEEDS, **sources), sources=sources)
+    expected = folders.verify(folder, progress=False)
     for name in sources:
         (folder / f"{name}.safetensors").unlink()
-    assert repr(runs.verify(folder, progress=False)) == repr(expected)
-    frozen_reward(3).member(1, 2).save(*sources["frozen"])
-    with pytest.raises(ValueError, match=r"frozen is not the reward that .* began with"):
-        runs.verify(folder)
-    sources["frozen"][0].unlink()
+    assert repr(folders.verify(folder, progress=False)) == repr(expected)
+    frozen_reward(3).member(1, 2).save(*sources["frozen_reward"])
+    with pytest.raises(ValueError, match=r"is not the frozen reward that .* began with"):
+        folders.verify(folder)
+    sources["frozen_reward"][0].unlink()
     with pytest.raises(FileNotFoundError, match="frozen"):
-        runs.verify(folder)
+        folders.verify(folder)

@@ -2,25 +2,30 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from offairl_lite.runs import jobs
-from offairl_lite.runs.jobs import Failure, Job, execute
+from offairl_lite.runs.jobs import Failure, execute
 
 STEPS = 40
 
-# What a job of these tests runs in the place of `offairl resume`: it writes the same files, ten
-# steps at a time, goes on where it was, and gets into trouble as it is told.
+# What a job of these tests runs in the place of the worker: it writes the same files, ten steps at
+# a time, goes on where it was, and gets into trouble as it is told.
 WORK = """
 import json, os, signal, sys, time
 from pathlib import Path
 
-folder, members, trouble = Path(sys.argv[1]), sys.argv[2].split("-"), sys.argv[3]
-shard = folder / "members" / sys.argv[2]
-curve, attempts = shard / "curve.csv", shard / "attempts"
+folder, trouble = Path(sys.argv[1]), sys.argv[2]
+curve, attempts = folder / "curve.csv", folder / "attempts"
+def note(state):
+    (folder / "part").write_text(json.dumps({"state": state, "step": step}))
+    (folder / "part").replace(folder / "run.json")
+
 with open(attempts, "a") as file:
     file.write(f"{os.getpid()} {os.environ['OMP_NUM_THREADS']} {time.monotonic()}\\n")
 first = len(attempts.read_text().splitlines()) == 1
@@ -31,9 +36,10 @@ print("from step", step, flush=True)
 while step < 40:
     step += 10
     with open(curve, "a") as file:
-        file.writelines(f"{seed},{step},{-step / 10 - int(seed)}\\n" for seed in members)
+        file.writelines(f"{seed},{step},{-step / 10 - seed}\\n" for seed in (0, 3))
     if step == 20 and trouble == "slow":
         try:
+            note("running")
             time.sleep(60)
         except KeyboardInterrupt:
             sys.exit("stopped")
@@ -42,10 +48,11 @@ while step < 40:
         sys.exit(3)
     if step == 20 and trouble == "killed" and first:
         os.kill(os.getpid(), signal.SIGKILL)
+    note("running")
     time.sleep(0.02)
 with open(attempts, "a") as file:
     file.write(f"end {time.monotonic()}\\n")
-(folder / "run.json").write_text(json.dumps({"state": "finished"}))
+note("finished")
 """
 
 
@@ -56,25 +63,16 @@ def prepare(tmp_path):
     script.write_text(WORK)
 
     def make(**troubles):
-        todo = []
         for name in troubles:
             (tmp_path / name).mkdir()
-            (tmp_path / name / "run.json").write_text('{"state": "running"}')
-            about = f'{{"shards": [[0, 3]], "config": {{"total_steps": {STEPS}}}}}'
+            (tmp_path / name / "run.json").write_text('{"state": "waiting", "step": 0}')
+            about = f'{{"seeds": [0, 3], "config": {{"total_steps": {STEPS}}}}}'
             (tmp_path / name / "config.json").write_text(about)
-            todo += jobs.of(tmp_path / name)
 
-        def command(job):
-            members = "-".join(map(str, job.members))
-            return [
-                sys.executable,
-                str(script),
-                str(job.folder),
-                members,
-                troubles[job.folder.name],
-            ]
+        def command(folder):
+            return [sys.executable, str(script), str(folder), troubles[folder.name]]
 
-        return todo, command
+        return [tmp_path / name for name in troubles], command
 
     return make
 
@@ -98,14 +96,14 @@ def engine(request, monkeypatch):
     return request.param
 
 
-def attempts(job):
+def attempts(folder):
     """Process id of each attempt."""
-    lines = (job.shard / "attempts").read_text().splitlines()
+    lines = (folder / "attempts").read_text().splitlines()
     return [int(line.split()[0]) for line in lines if not line.startswith("end")]
 
 
-def curve(job):
-    return (job.shard / "curve.csv").read_text()
+def curve(folder):
+    return (folder / "curve.csv").read_text()
 
 
 def lives(pid):
@@ -122,39 +120,18 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
-def test_jobs_are_the_shards_of_a_run(prepare, tmp_path):
-    (whole,), _ = prepare(whole="")
-    assert whole == Job(tmp_path / "whole", (0, 3), STEPS)
-    about = whole.folder / "config.json"
-    about.write_text(about.read_text().replace("[[0, 3]]", "[[0], [3]]"))
-    assert [job.members for job in jobs.of(whole.folder)] == [(0,), (3,)]
-    assert jobs.resume(whole)[1:] == [
-        *("-m", "offairl_lite.runs.cli", "resume", str(whole.folder), "--members", "0", "3")
-    ]
+def test_a_job_trains_one_run_folder():
+    assert jobs.resume(Path("one"))[1:] == ["-m", "offairl_lite.runs.worker", "one"]
 
 
-def test_the_step_of_a_job_is_that_of_its_last_complete_row(prepare):
-    (job,), _ = prepare(one="")
-    assert job.step == 0
-    job.shard.mkdir(parents=True)
-    for text, step in [("se", 0), ("seed,step\n", 0), ("seed,step\n0,100\n3,1", 100)]:
-        (job.shard / "curve.csv").write_text(text)
-        assert job.step == step
-    with open(job.shard / "curve.csv", "w") as file:
-        file.write("seed,step,returns\n" + "".join(f"0,{i},{'7 ' * 500}\n" for i in range(99)))
-    assert job.step == 98
-
-
-def test_all_is_done_and_what_is_finished_is_skipped(engine, prepare, capsys):
+def test_all_is_done(engine, prepare, capsys):
     todo, command = prepare(one="", two="", three="")
     assert execute(todo, engine, 2, command=command) == []
     err = capsys.readouterr().err
     assert "120/120" in err
-    assert "3 done, 0 running, 0 failed" in err
-    assert all((job.shard / "attempts").read_text().split()[1] == "1" for job in todo)
-    before = [attempts(job) for job in todo]
-    assert execute(todo, engine, 2, progress=False, command=command) == []
-    assert [attempts(job) for job in todo] == before
+    assert "3 done, 0 failed" in err
+    assert all((folder / "attempts").read_text().split()[1] == "1" for folder in todo)
+    assert execute(todo[:1], engine, progress=False, command=command) == []
     assert capsys.readouterr().err == ""
 
 
@@ -172,23 +149,23 @@ def test_a_failure_is_tried_once_more_then_reported(engine, prepare, capsys):
     todo, command = prepare(fine="", hiccup="hiccup", broken="broken")
     (failure,) = execute(todo, engine, 2, command=command)
     assert isinstance(failure, Failure)
-    assert (failure.job.folder.name, failure.reason) == ("broken", "exit status 3")
+    assert (failure.folder.name, failure.reason) == ("broken", "exit status 3")
     assert failure.tail.splitlines()[-2:] == ["from step 20", "out of luck"]
-    assert str(failure.job.log) in str(failure)
-    assert [len(attempts(job)) for job in todo] == [1, 2, 2]
+    assert str(jobs.log_of(failure.folder)) in str(failure)
+    assert [len(attempts(folder)) for folder in todo] == [1, 2, 2]
     # From where it was.
-    assert "from step 20" in todo[1].log.read_text()
+    assert "from step 20" in jobs.log_of(todo[1]).read_text()
     assert curve(todo[0]) == curve(todo[1])
     err = capsys.readouterr().err
-    assert "hiccup, seeds 0 3: exit status 3; it is tried once more" in err
-    assert "2 done, 0 running, 1 failed" in err
+    assert "hiccup: exit status 3; it is tried once more" in err
+    assert "2 done, 1 failed" in err
 
 
 def test_a_job_that_is_killed_is_gone_on_with(engine, prepare, capsys):
     todo, command = prepare(killed="killed", fine="")
     assert execute(todo, engine, 2, command=command) == []
     assert "killed by SIGKILL (out of memory?)" in capsys.readouterr().err
-    assert [len(attempts(job)) for job in todo] == [2, 1]
+    assert [len(attempts(folder)) for folder in todo] == [2, 1]
     assert curve(todo[0]) == curve(todo[1])
 
 
@@ -197,8 +174,8 @@ def test_no_more_work_at_a_time_than_allowed(engine, workers, prepare):
     todo, command = prepare(a="", b="", c="", d="")
     assert execute(todo, engine, workers, progress=False, command=command) == []
     events = []
-    for job in todo:
-        start, end = (job.shard / "attempts").read_text().splitlines()
+    for folder in todo:
+        start, end = (folder / "attempts").read_text().splitlines()
         events += [(float(start.split()[-1]), 1), (float(end.split()[-1]), -1)]
     running = peak = 0
     for _, change in sorted(events):
@@ -210,17 +187,17 @@ def test_no_more_work_at_a_time_than_allowed(engine, workers, prepare):
 def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "POLL_S", 0.02)
     todo, command = prepare(processes="hiccup", ray="hiccup")
-    for job in todo:
-        assert execute([job], job.folder.name, command=command) == []
+    for folder in todo:
+        assert execute([folder], folder.name, command=command) == []
     found = [
         {
-            path.relative_to(job.folder): path.read_text()
-            for path in job.folder.rglob("*")
+            path.relative_to(folder): path.read_text()
+            for path in folder.rglob("*")
             if path.is_file() and path.name != "attempts"
         }
-        for job in todo
+        for folder in todo
     ]
-    logs = [folder.pop(todo[0].log.relative_to(todo[0].folder)).splitlines() for folder in found]
+    logs = [files.pop(Path("state/log.txt")).splitlines() for files in found]
     assert found[0] == found[1]
     assert next([line for line in log if line[0] != "#"] for log in logs) == [
         *("from step 0", "out of luck", "from step 20")
@@ -230,11 +207,11 @@ def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeyp
 
 def test_a_folder_that_a_node_does_not_see_ends_it_all(engine, prepare):
     todo, command = prepare(slow="slow")
-    lost = Job(todo[0].folder.with_name("elsewhere"), (0,), STEPS)
+    lost = todo[0].with_name("elsewhere")
     with pytest.raises(ValueError, match=r"does not see .*elsewhere: put runs on a file system"):
-        execute([*todo, lost], engine, 2, progress=False, command=command)
-    if (todo[0].shard / "attempts").exists():
-        assert not lives(*attempts(todo[0]))
+        execute([*todo, lost], engine, 2, progress=False, command=lambda _: command(todo[0]))
+    if (todo[0] / "attempts").exists():
+        assert not any(map(lives, attempts(todo[0])))
 
 
 @pytest.mark.parametrize("engine", ["processes", "ray"])
@@ -246,16 +223,16 @@ def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
     main = tmp_path / "main.py"
     main.write_text(
         "from pathlib import Path\n"
-        "from offairl_lite.runs.jobs import Job, execute\n"
-        f"commands = {[(str(job.folder), command(job)) for job in todo]!r}\n"
-        f"todo = [Job(Path(folder), (0, 3), {STEPS}) for folder, _ in commands]\n"
-        f"execute(todo, {engine!r}, 2, command=lambda job: dict(commands)[str(job.folder)])\n"
+        "from offairl_lite.runs.jobs import execute\n"
+        f"commands = {[(str(folder), command(folder)) for folder in todo]!r}\n"
+        "todo = [Path(folder) for folder, _ in commands]\n"
+        f"execute(todo, {engine!r}, 2, command=lambda folder: dict(commands)[str(folder)])\n"
     )
     with open(tmp_path / "said", "w") as said:
         process = subprocess.Popen([sys.executable, str(main)], stderr=said)
     try:
-        wait_for(lambda: all(job.step == 20 for job in todo[:2]))
-        pids = [pid for job in todo[:2] for pid in attempts(job)]
+        wait_for(lambda: all(jobs._step(folder) == 20 for folder in todo[:2]))
+        pids = [pid for folder in todo[:2] for pid in attempts(folder)]
         assert all(map(lives, pids))
         process.send_signal(number)
         assert process.wait(30) != 0
@@ -264,30 +241,32 @@ def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
         process.wait()
     assert "KeyboardInterrupt" in (tmp_path / "said").read_text()
     wait_for(lambda: not any(map(lives, pids)), 5)
-    assert all(job.log.read_text().endswith("stopped\n") for job in todo[:2])
-    assert not (todo[2].shard / "attempts").exists()
+    assert all(jobs.log_of(path).read_text().endswith("stopped\n") for path in todo[:2])
+    assert not (todo[2] / "attempts").exists()
 
 
 def test_a_process_that_does_not_want_to_end_is_killed(prepare, monkeypatch):
     monkeypatch.setattr(jobs, "GRACE_S", 0.2)
     todo, _ = prepare(deaf="")
     deaf = "import signal, time; signal.signal(2, signal.SIG_IGN); print(1, flush=True); "
-    crew = jobs.Processes(lambda job: [sys.executable, "-c", deaf + "time.sleep(60)"], 1)
-    process = crew.start(todo[0])
-    wait_for(lambda: todo[0].log.read_text().endswith("1\n"))
-    crew.stop([process])
-    assert process.returncode == -signal.SIGKILL
+    command, stop = [sys.executable, "-c", deaf + "time.sleep(60)"], threading.Event()
+    with ThreadPoolExecutor() as pool:
+        outcome = pool.submit(jobs._child, todo[0], command, stop)
+        log = jobs.log_of(todo[0])
+        wait_for(lambda: log.exists() and log.read_text().endswith("1\n"))
+        stop.set()
+        assert outcome.result().startswith("killed by SIGKILL")
 
 
 def test_as_many_at_a_time_as_there_are_cores():
-    assert 1 <= jobs.Processes(jobs.resume, None).capacity() <= os.cpu_count()
+    assert 1 <= jobs.cores() <= os.cpu_count()
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         ({"engine": "threads"}, "engine is 'threads'; expected one of"),
-        ({"workers": 0}, "workers is 0; expected at least 1"),
+        ({"workers": 0}, "processes is 0; expected at least 1"),
         ({"address": "auto"}, "address 'auto' is a Ray cluster's"),
     ],
 )

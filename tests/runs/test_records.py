@@ -1,6 +1,7 @@
 """The files of a run's folder."""
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +16,11 @@ from offairl_lite.core.rng import Streams
 from offairl_lite.runs.records import (
     HEADER,
     METRICS,
-    Plan,
+    RunSpec,
     lines,
-    merged,
     read,
     read_json,
+    seeds_name,
     write_json,
     write_whole,
 )
@@ -40,22 +41,22 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def plan(tiny):
-    return Plan(tiny, ((3,), (7,)), {"device": "cpu", "threads": 1}, None, 60, "maze", "demo")
+def spec(tiny):
+    return RunSpec(tiny, SEEDS, {"device": "cpu", "threads": 1}, None, 60, "maze", "demo")
 
 
 @pytest.fixture
-def record(folder, plan):
+def record(folder, spec):
     """What there is of a run after two evaluations."""
     folder.mkdir(parents=True)
-    plan.write(folder)
+    spec.write(folder)
     (folder / "curve.csv").write_text(HEADER + lines(rows(100) + rows(200)))
     return folder
 
 
-def test_a_plan_comes_back_as_it_was(record, plan):
-    assert Plan.read(record) == plan
-    assert plan.seeds == SEEDS
+def test_a_specification_comes_back_as_it_was(record, spec):
+    assert RunSpec.read(record) == spec
+    assert spec.seeds == SEEDS
 
 
 def test_a_curve_from_before_a_diagnostic_existed_is_read(record):
@@ -64,7 +65,7 @@ def test_a_curve_from_before_a_diagnostic_existed_is_read(record):
     path.write_text("".join(older))
     assert read(record).rows == rows(100) + rows(200)
     # The run was resumed since: its first lines are shorter than the others.
-    path.write_text(merged([path.read_text(), HEADER + lines(rows(300))], SEEDS))
+    path.write_text(path.read_text() + lines(rows(300)))
     assert read(record).rows == rows(100) + rows(200) + rows(300)
 
 
@@ -83,8 +84,8 @@ def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, bottlenec
     assert set(run.rows[0].metrics) <= set(METRICS)
 
 
-def test_what_there_is_not_is_left_out(record, plan):
-    replace(plan, config=replace(plan.config, reward="environment")).write(record)
+def test_what_there_is_not_is_left_out(record, spec):
+    replace(spec, config=replace(spec.config, reward="environment")).write(record)
     row = rows(100)[0]._replace(learned_return=math.nan, metrics={})
     (record / "curve.csv").write_text(HEADER + lines([row]))
     (again,) = read(record).rows
@@ -93,20 +94,62 @@ def test_what_there_is_not_is_left_out(record, plan):
 
 
 def test_members_that_were_given_up_are_named(record):
-    shards = {"3": {"diverged": {}}, "7": {"diverged": {"7": "seed 7 diverged"}}}
-    write_json(record / "run.json", {"shards": shards})
+    write_json(record / "run.json", {"diverged": {"7": "seed 7 diverged"}})
     assert read(record).diverged == {7: "seed 7 diverged"}
 
 
-def test_curves_are_put_together_by_step_and_seed():
-    three, seven = ([row for row in rows(100) + rows(200) if row.seed == s] for s in SEEDS)
-    curves = [HEADER + lines(part) for part in (seven, three)]
-    assert merged(curves, SEEDS) == HEADER + lines(rows(100) + rows(200))
-    assert merged(curves, SEEDS[::-1]) == HEADER + lines(rows(100)[::-1] + rows(200)[::-1])
-    # The last line is being written.
-    cut = [curves[0], curves[1][:-5]]
-    assert merged(cut, SEEDS) == HEADER + lines([*rows(100), seven[1]])
-    assert merged([], SEEDS) == HEADER
+@pytest.fixture
+def parts(folder, spec):
+    """A run whose seeds are in two run folders."""
+    for seed in SEEDS:
+        part = folder / f"seeds-{seed}"
+        part.mkdir(parents=True)
+        replace(spec, seeds=(seed,)).write(part)
+        own = [row for row in rows(100) + rows(200) if row.seed == seed]
+        (part / "curve.csv").write_text(HEADER + lines(own))
+        write_json(part / "run.json", {"diverged": {str(seed): "far away"}})
+    return folder
+
+
+def test_several_run_folders_are_one_run(parts, tiny):
+    run = read(parts)
+    assert (run.config, run.seeds, run.rows) == (tiny, SEEDS, rows(100) + rows(200))
+    assert (run.policy, run.reward) == (None, None)
+    assert run.diverged == dict.fromkeys(SEEDS, "far away")
+    actor, params, normaliser = policy_parts()
+    whole = Policy("x", actor, params, normaliser)
+    whole.member(0).save(parts / "seeds-3" / "policy.safetensors")
+    assert read(parts).policy is None
+    whole.member(1).save(parts / "seeds-7" / "policy.safetensors")
+    assert torch.equal(read(parts).policy.params, params)
+    # One that is being made is none yet.
+    shutil.copytree(parts / "seeds-7", parts / ".seeds-9.x" / "run")
+    assert read(parts).seeds == SEEDS
+
+
+def test_runs_of_several_configurations_are_not_one(parts, spec):
+    other = replace(spec, config=replace(spec.config, discount=0.5), seeds=(7,))
+    other.write(parts / "seeds-7")
+    with pytest.raises(ValueError, match=r"several configurations: discount differ between .*-3"):
+        read(parts)
+    replace(spec, seeds=(3,)).write(parts / "seeds-7")
+    with pytest.raises(ValueError, match="several runs of the same seeds"):
+        read(parts)
+
+
+def test_a_line_that_is_being_written_is_not_read(record):
+    path = record / "curve.csv"
+    path.write_text(path.read_text()[:-5])
+    assert read(record).rows == [*rows(100), rows(200)[0]]
+    path.write_text(HEADER[:-1])
+    assert read(record).rows == []
+
+
+def test_many_seeds_make_a_name_that_a_disk_takes():
+    seeds = tuple(range(10**9, 10**9 + 30))
+    assert seeds_name(SEEDS) == "seeds-3-7"
+    assert len(seeds_name(seeds)) < 50
+    assert seeds_name(seeds) != seeds_name((seeds[0], *seeds[1:-1][::-1], seeds[-1]))
 
 
 def test_a_file_is_the_old_one_or_the_new(tmp_path):
@@ -155,12 +198,12 @@ def test_a_configuration_of_another_version_is_refused(record):
     write_json(path, {**content, "config": {**content["config"], "momentum": 0.9}})
     with pytest.raises(ValueError, match=r"config.json does not describe a run: .*momentum"):
         read(record)
-    write_json(path, {**content, "format": 3})
-    with pytest.raises(ValueError, match=r"config.json has format 3, and .* reads format 2"):
+    write_json(path, {**content, "format": 4})
+    with pytest.raises(ValueError, match=r"config.json has format 4, and .* reads format 3"):
         read(record)
     # The first format had no number.
     write_json(path, {"seeds": [0], **content["config"]})
-    with pytest.raises(ValueError, match=r"config.json has format 1, and .* reads format 2"):
+    with pytest.raises(ValueError, match=r"config.json has format 1, and .* reads format 3"):
         read(record)
     path.write_text("{")
     with pytest.raises(ValueError, match=r"config.json is damaged: Expecting"):

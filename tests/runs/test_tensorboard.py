@@ -9,7 +9,8 @@ import pytest
 from offairl_lite.core.loop import train
 from offairl_lite.runs import cli
 from offairl_lite.runs import tensorboard as logs
-from offairl_lite.runs.folders import create, work
+from offairl_lite.runs.folders import create
+from offairl_lite.runs.worker import work
 
 
 def scalars(folder, seed):
