@@ -5,7 +5,6 @@ Below them, what several modules' tests start from: tiny runs and random demonst
 
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -73,8 +72,7 @@ def pytest_runtest_protocol(item):
 @pytest.fixture
 def tiny():
     """A run on the maze that takes a second."""
-    return replace(
-        CORRECTED,
+    return CORRECTED.change(
         total_steps=200,
         warmup_steps=100,
         batch_size=8,

@@ -43,8 +43,9 @@ def estimate(config: Config, members: int) -> float:
     every = schedule.update_every if isinstance(config.learner, PPOConfig) else 20
     if config.pretrained != "nothing":
         config = config.change(pretrained="nothing")
+    if config.reward == "frozen":
+        config = config.change(reward="environment", absorbing="none")
     short = config.change(
-        reward="environment" if config.reward == "frozen" else config.reward,
         start_steps=0,
         warmup_steps=every,
         update_every=every,
