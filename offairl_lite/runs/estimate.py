@@ -7,7 +7,7 @@ from contextlib import closing
 import torch
 
 from offairl_lite import envs
-from offairl_lite.config import Config
+from offairl_lite.config import Config, PPOConfig
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
@@ -40,10 +40,12 @@ def estimate(config: Config, members: int) -> float:
     evaluate.
     """
     schedule = config.schedule
-    every = schedule.update_every if config.learner.generator == "ppo" else 20
+    every = schedule.update_every if isinstance(config.learner, PPOConfig) else 20
+    if config.pretrained != "nothing":
+        config = config.change(pretrained="nothing")
+    if config.reward == "frozen":
+        config = config.change(reward="environment", absorbing="none")
     short = config.change(
-        reward="environment" if config.reward == "frozen" else config.reward,
-        pretrained="nothing",
         start_steps=0,
         warmup_steps=every,
         update_every=every,
