@@ -1,6 +1,7 @@
 """Training in a run folder: from its last checkpoint to the end, by one process at a time."""
 
 import logging
+import signal
 import sys
 import time
 import warnings
@@ -202,6 +203,8 @@ class _Worker:
 
 def main() -> None:
     """Train the run folder that the command line names: `python -m offairl_lite.runs.worker`."""
+    # A shell has its background jobs, and theirs, ignore what ends this process.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with jobs.terminable():
             work(Path(sys.argv[1]), progress=False)
