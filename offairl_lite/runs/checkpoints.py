@@ -175,12 +175,13 @@ def missing_space(folder: Path, spec: RunSpec) -> int:
 
 
 def require_room(place: Path, space: int, config: Config) -> None:
-    """Refuse a run for which a disk has no room.
+    """Refuse a run for which the disk of a folder, which may be a new one, has no room.
 
     Raises:
         OSError: it has less than `space` bytes left.
     """
-    free = shutil.disk_usage(place).free
+    there = place.absolute()
+    free = shutil.disk_usage(next(path for path in (there, *there.parents) if path.exists())).free
     if free < space:
         raise OSError(
             f"the run needs {in_words(space)} of disk, mostly replay, and {place} has "

@@ -113,7 +113,7 @@ def create(
         inherited,
     )
     there, space = folder.resolve(), checkpoints.disk_space(spec)
-    checkpoints.require_room(next(p for p in (there, *there.parents) if p.exists()), space, config)
+    checkpoints.require_room(there, space, config)
     _write(there, spec, given)
     return in_words(space)
 
