@@ -52,7 +52,7 @@ class Trainer:
         memory: steps by which the replay file can be taken back, see `replay.Replay`.
 
     Raises:
-        ValueError: something that `config` needs is missing, or does not fit the task.
+        ValueError: an input that `config` needs is missing, or does not fit the task.
     """
 
     def __init__(
@@ -68,8 +68,7 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        # Plain integers, also of an array, to be written and looked up.
-        seeds = tuple(map(operator.index, seeds))
+        seeds = tuple(map(operator.index, seeds))  # Plain integers, also of an array.
         require_inputs(config, seeds, demonstrations, frozen_reward, pretrained_policy, guide)
         self.config, self.schedule, self.seeds = config, config.schedule, seeds
         self.execution, self.device = execution, torch.device(execution.device)
