@@ -341,9 +341,9 @@ def test_the_temperature_moves_when_it_is_its_turn():
         assert torch.equal(before, learner.log_alpha) != due
 
 
-@pytest.mark.parametrize("generator", ["sac", "td3"])
-def test_every_second_update_is_the_actor_s_turn_from_one_block_to_the_next(generator):
-    models = make_models(learner=generator, reward="environment")
+@pytest.mark.parametrize("learner", ["sac", "td3"])
+def test_every_second_update_is_the_actor_s_turn_from_one_block_to_the_next(learner):
+    models = make_models(learner=learner, reward="environment")
     replay = Replay(2, B, OBS, ACT)
     for part in zip(*(x.unbind(1) for x in data()[0]), strict=True):
         replay.add(Batch(*part))
@@ -405,9 +405,9 @@ def test_the_target_entropy_is_minus_the_number_of_actions():
     assert make(temperature=None).target_entropy == -ACT
 
 
-@pytest.mark.parametrize("generator", ["sac", "td3"])
-def test_a_policy_taken_out_is_not_trained_on(generator):
-    models = make_models(learner=generator)
+@pytest.mark.parametrize("learner", ["sac", "td3"])
+def test_a_policy_taken_out_is_not_trained_on(learner):
+    models = make_models(learner=learner)
     policy, obs = models.policy, data()[0].obs
     before = policy.act(obs)
     update(models.learner, *data())
