@@ -43,7 +43,8 @@ def scaling(seeds, absorbing="none"):
 def make(learner=SAC, seeds=(0, 1), absorbing="none", settings=None, **changes):
     """A learner whose targets differ from its critics, and whose observations are scaled."""
     kind = settings or {SAC: SACConfig, TD3: TD3Config}[learner]
-    # What the other learner alone has is left out.
+    # What SAC alone has is left out for TD3; what no learner has is a slip in the test.
+    assert changes.keys() <= SACConfig.__dataclass_fields__.keys()
     given = {name: x for name, x in changes.items() if name in kind.__dataclass_fields__}
     config = kind(**{"hidden": (8, 8), "learning_rate": RATE} | given)
     normaliser = scaling(seeds, absorbing)
