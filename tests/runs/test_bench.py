@@ -225,18 +225,21 @@ def test_the_cores_are_given_back():
     assert os.sched_getaffinity(0) == before
 
 
+LAYERS = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
+PRIMITIVES = {"primitives": 2, **LAYERS}
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"reward": "implementation-2"},
-        {"reward": "frozen", "pretrained": "primitives", "primitives": 2, "start_steps": 20},
+        {"reward": "frozen", "pretrained": "primitives", "start_steps": 20, **PRIMITIVES},
         {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
 def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monkeypatch, changes):
-    small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
-    config = tiny.change(**small, **changes)
+    config = tiny.change(**changes)
     # A clock that goes on by a second whenever it is looked at.
     monkeypatch.setattr(time, "perf_counter", count().__next__)
     every = changes.get("update_every", 20)
