@@ -40,18 +40,21 @@ def estimate(config: Config, members: int) -> float:
     evaluate.
     """
     schedule = config.schedule
-    every = schedule.update_every if config.learner.generator == "ppo" else 20
-    short = config.change(
-        reward="environment" if config.reward == "frozen" else config.reward,
-        pretrained="nothing",
-        start_steps=0,
-        warmup_steps=every,
-        update_every=every,
-        total_steps=10**9,
-        eval_every=10**9,
-        eval_episodes=1,
-        replay_size=max(10_000, every),
-    )
+    every = schedule.update_every if config.learner.kind == "ppo" else 20
+    changes = {
+        "start_steps": 0,
+        "warmup_steps": every,
+        "update_every": every,
+        "total_steps": 10**9,
+        "eval_every": 10**9,
+        "eval_episodes": 1,
+        "replay_size": max(10_000, every),
+    }
+    if config.reward == "frozen":
+        changes |= {"reward": "environment", "absorbing": "none"}
+    if config.pretrained != "nothing":
+        changes["pretrained"] = "nothing"
+    short = config.change(**changes)
     with closing(Trainer(short, range(members), random_demonstrations(config.env_id))) as trainer:
         blocks = trained_blocks(trainer)
         next(blocks)  # the warm-up's
