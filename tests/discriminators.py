@@ -6,7 +6,7 @@ from offairl_lite.ablations.bottleneck import Bottleneck
 from offairl_lite.ablations.penalties import SpectralNorm
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.config import CORRECTED
-from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
@@ -46,8 +46,9 @@ def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
     """A discriminator with a random normaliser; double precision, unless it is to be trained."""
     normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
     horizon = HORIZON if config.reward == "gan-gcl" else 1
-    kind = Discriminator.of(config)
-    made = kind(config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon)
+    made = make_discriminator(
+        config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon, config.env_id
+    )
     if learning_rate is not None:
         made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate
     if dtype == torch.float64:

@@ -22,7 +22,7 @@ FILES = sorted(
 )
 IDS = [path.relative_to(ROOT).with_suffix("").as_posix() for path in FILES]
 PACKAGES = {"core.__init__", "analysis.__init__", "runs.__init__"}
-WHOLE = ("config", "envs", "tabular", "ablations")
+WHOLE = ("config", "envs", "tabular", "ablations", "experiments")
 
 
 def layer(name):

@@ -93,6 +93,12 @@ def loops(rewritten: Batch) -> Batch:
     return Batch(there, still, there, zero, zero)
 
 
+def with_absorbing_states(batch: Batch) -> Batch:
+    """Return demonstrations, one leading axis, rewritten and with their absorbing transitions."""
+    batch = rewrite(batch)
+    return Batch(*(torch.cat(parts) for parts in zip(batch, loops(batch), strict=True)))
+
+
 def analytic_return(
     reward: Float[Tensor, "*batch"], absorbing_reward: Float[Tensor, "*batch"], discount: float
 ) -> Float[Tensor, "*batch"]:

@@ -19,7 +19,6 @@ def evaluate(
     policy: Policy,
     reward: Reward | None,
     members: Members,
-    *,
     step: int,
     episodes: Sequence[int],
     metrics: dict[str, Tensor],

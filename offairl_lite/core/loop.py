@@ -25,7 +25,7 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members
 from offairl_lite.core.evaluation import evaluate
 from offairl_lite.core.fitting import fit_discriminator, fit_learner, fit_on_policy
-from offairl_lite.core.models import Models
+from offairl_lite.core.models import Models, even_normaliser
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.ppo import PPO
@@ -52,7 +52,7 @@ class Trainer:
         memory: steps by which the replay file can be taken back, see `replay.Replay`.
 
     Raises:
-        ValueError: something that `config` needs is missing, or does not fit the task.
+        ValueError: an input that `config` needs is missing, or does not fit the task.
     """
 
     def __init__(
@@ -68,8 +68,7 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        # Plain integers, also of an array, to be written and looked up.
-        seeds = tuple(map(operator.index, seeds))
+        seeds = tuple(map(operator.index, seeds))  # Plain integers, also of an array.
         require_inputs(config, seeds, demonstrations, frozen_reward, pretrained_policy, guide)
         self.config, self.schedule, self.seeds = config, config.schedule, seeds
         self.execution, self.device = execution, torch.device(execution.device)
@@ -86,11 +85,15 @@ class Trainer:
             file=replay_file,
             slots=replay_slots(config.schedule, memory),
         )
-        shown, *policies = (
-            x and x.to(self.device) for x in (frozen_reward, pretrained_policy, guide)
+        self.frozen_reward, self.pretrained_policy, guide = (
+            given and given.to(self.device) for given in (frozen_reward, pretrained_policy, guide)
         )
-        self.frozen_reward, (self.pretrained_policy, guide) = shown, policies
-        self.demonstrations = demonstrations and self._shown(demonstrations.transitions)
+        self.demonstrations = None
+        if demonstrations is not None:
+            known = self.schedule.absorbing != "none"
+            batch = demonstrations.transitions
+            batch = absorbing.with_absorbing_states(batch) if known else batch
+            self.demonstrations = Batch(*(part.to(self.device) for part in batch))
         self.collector = Collector(config, env, replay, self.rng, self.members, guide)
         self.models: Models | None = None
         # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
@@ -181,10 +184,8 @@ class Trainer:
         if self.schedule.update_every is not None:
             return self.steps - self.block_start == self.schedule.update_every
         if ended.any() and not ended.all():
-            raise ValueError(
-                "members' episodes end at different times, so a population has no common end of "
-                "episode to train at: set update_every (1000, say)"
-            )
+            why = "members' episodes end at different times, so they have no common end to train at"
+            raise ValueError(f"{why}: set update_every (1000, say)")
         return bool(ended.all())
 
     def explore(self, obs: Float[Tensor, "S O"]) -> Float[Tensor, "S A"]:
@@ -198,15 +199,10 @@ class Trainer:
 
     def build(self, normaliser: Normaliser) -> None:
         """Make learner and discriminator."""
+        given = self.frozen_reward, self.pretrained_policy
+        execution, horizon = self.execution, self.horizon
         self.models = Models(
-            self.config,
-            self.dims,
-            self.rng,
-            normaliser,
-            self.execution,
-            self.horizon,
-            self.frozen_reward,
-            self.pretrained_policy,
+            self.config, self.dims, self.rng, normaliser, execution, horizon, *given
         )
         self.members.weights = self.models.weights
         if isinstance(self.models.learner, PPO):
@@ -215,32 +211,14 @@ class Trainer:
             self.block_start = self.steps
 
     def normaliser(self) -> Normaliser:
-        """Return the scaling by what each member has seen and, half and half, what it was shown.
-
-        That even mixture is what the discriminator will look at. The absorbing state, which is no
-        place on the map, is left out. A pretrained policy brings its own scaling.
-        """
+        """Return the scaling of observations; a pretrained policy brings its own."""
         if self.pretrained_policy is not None:
             return self.pretrained_policy.normaliser
         if not self.schedule.normalise:
             return Normaliser.identity(len(self.seeds), self.dims[0], self.device)
-        members = []
-        for member in range(len(self.seeds)):
-            sources = [self.collector.replay.held(member).obs]
-            if self.demonstrations is not None:
-                sources.append(self.demonstrations.obs)
-            if self.schedule.absorbing != "none":
-                sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
-            members.append(Normaliser.of(*(obs.unsqueeze(0) for obs in sources)))
-        return Normaliser(*map(torch.cat, zip(*members, strict=True)))
-
-    def _shown(self, batch: Batch) -> Batch:
-        """Return demonstrations, axes `N`, with their absorbing states if there are any."""
-        if self.schedule.absorbing != "none":
-            batch = absorbing.rewrite(batch)
-            loops = absorbing.loops(batch)
-            batch = Batch(*(torch.cat(parts) for parts in zip(batch, loops, strict=True)))
-        return Batch(*(part.to(self.device) for part in batch))
+        seen = [self.collector.replay.held(member).obs for member in range(len(self.seeds))]
+        shown = None if self.demonstrations is None else self.demonstrations.obs
+        return even_normaliser(seen, shown, self.schedule.absorbing != "none")
 
     def fit(self, steps: int) -> None:
         """Train on a block: the discriminator as often as it has steps, then the learner.
@@ -269,16 +247,9 @@ class Trainer:
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
-        return evaluate(
-            self.config,
-            self.policy,
-            self.reward,
-            self.members,
-            step=self.steps,
-            episodes=self.collector.episodes.tolist(),
-            metrics=self.metrics,
-            num_threads=self.execution.threads,
-        )
+        done = self.steps, self.collector.episodes.tolist(), self.metrics
+        threads = self.execution.threads
+        return evaluate(self.config, self.policy, self.reward, self.members, *done, threads)
 
     def state(self) -> dict[str, Tensor]:
         """Return all that the future depends on but the rows of the replay and `diverged`."""
@@ -294,9 +265,7 @@ class Trainer:
         return tensors
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Go on from a state of a trainer with this configuration and these seeds, exactly.
-
-        The replay's file must be the one that trainer had.
+        """Go on, exactly, from a state of a trainer of this run, whose replay's file this one has.
 
         Raises:
             ValueError: the state is of something else.

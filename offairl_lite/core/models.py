@@ -1,6 +1,6 @@
 """The networks of a run: learner and discriminator, and the reward between them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -29,6 +29,28 @@ def make_learner(config: LearnerConfig, *given: Any) -> SAC | TD3 | PPO:
     if isinstance(config, SACConfig):
         return SAC(config, *given)
     return TD3(config, *given) if isinstance(config, TD3Config) else PPO(config, *given)
+
+
+def even_normaliser(
+    seen: Sequence[Float[Tensor, "N O"]], shown: Float[Tensor, "M O"] | None, extended: bool
+) -> Normaliser:
+    """Return the scaling by what each member has seen and, half and half, what it was shown.
+
+    That even mixture is what the discriminator will look at. The absorbing state, which is no
+    place on the map, is left out.
+
+    Args:
+        seen: observations of each member, of its warm-up.
+        shown: observations of the demonstrations, if there are any.
+        extended: whether the last dimension is the indicator of the absorbing state.
+    """
+    members = []
+    for own in seen:
+        sources = [own] if shown is None else [own, shown]
+        if extended:
+            sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
+        members.append(Normaliser.of(*(obs.unsqueeze(0) for obs in sources)))
+    return Normaliser(*map(torch.cat, zip(*members, strict=True)))
 
 
 class Models:

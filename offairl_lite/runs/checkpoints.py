@@ -1,4 +1,4 @@
-"""What a run needs to go on: the files in `state/`, the disk space they take, and their lock."""
+"""What a run needs to go on: the files in `checkpoint/`, their disk space, and their lock."""
 
 import errno
 import json
@@ -21,7 +21,7 @@ from offairl_lite.core.replay import Replay
 from offairl_lite.runs import inputs
 from offairl_lite.runs.records import FORMAT, RunSpec, read_json, require_format, write_whole
 
-STATE = "state"
+SUBFOLDER = "checkpoint"
 """The subfolder of what is needed to go on."""
 
 MARGIN = 2**23
@@ -30,7 +30,7 @@ MARGIN = 2**23
 
 def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
     """Keep a trainer's state. The replay file still has what the checkpoint before it needs."""
-    curve, replay = folder / "curve.csv", folder / STATE / "replay.f32"
+    curve, replay = folder / "curve.csv", folder / SUBFOLDER / "replay.f32"
     trainer.collector.replay.flush()
     with open(curve, "rb") as file:
         os.fsync(file.fileno())
@@ -48,7 +48,7 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
         "diverged": trainer.diverged,
     }
     about["digest"] = inputs.digest(state, about)
-    path = folder / STATE / "checkpoint.safetensors"
+    path = folder / SUBFOLDER / "checkpoint.safetensors"
     write_whole(path, lambda part: save_weights(part, state, about))
 
 
@@ -60,7 +60,7 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
         ValueError: it is damaged, or of another format or run.
     """
     path, reached = (
-        folder / STATE / "checkpoint.safetensors",
+        folder / SUBFOLDER / "checkpoint.safetensors",
         read_json(folder / "run.json")["step"],
     )
     if not path.is_file():
@@ -88,7 +88,7 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
             f"{path} is of another run than {folder}/config.json: {'; '.join(changed)}; put back "
             "what was changed, or start a new run"
         )
-    for file in (folder / "curve.csv", folder / STATE / "replay.f32"):
+    for file in (folder / "curve.csv", folder / SUBFOLDER / "replay.f32"):
         found = file.stat().st_size if file.is_file() else 0
         if found < about[file.name]:
             why = f"it had {about[file.name]} bytes, and has {found}"
@@ -107,7 +107,7 @@ def restore(
     state, about = checkpoint
     trainer.restore(state)
     if about["ends"] != _ends(trainer.collector.replay):
-        path = folder / STATE / "replay.f32"
+        path = folder / SUBFOLDER / "replay.f32"
         raise ValueError(_damaged(folder, path, "it is not as it was at the checkpoint"))
     trainer.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
     os.truncate(folder / "curve.csv", about["curve.csv"])
@@ -171,17 +171,18 @@ def disk_space(spec: RunSpec) -> int:
 
 def missing_space(folder: Path, spec: RunSpec) -> int:
     """Return the bytes that a run may still take, beside the replay that it has."""
-    replay = folder / STATE / "replay.f32"
+    replay = folder / SUBFOLDER / "replay.f32"
     return disk_space(spec) - (replay.stat().st_size if replay.is_file() else 0)
 
 
 def require_room(place: Path, space: int, config: Config) -> None:
-    """Refuse a run for which a disk has no room.
+    """Refuse a run for which the disk of a folder, which may be a new one, has no room.
 
     Raises:
         OSError: it has less than `space` bytes left.
     """
-    free = shutil.disk_usage(place).free
+    there = place.absolute()
+    free = shutil.disk_usage(next(path for path in (there, *there.parents) if path.exists())).free
     if free < space:
         raise OSError(
             f"the run needs {in_words(space)} of disk, mostly replay, and {place} has "
@@ -220,9 +221,9 @@ def lock(folder: Path) -> Iterator[None]:
     Raises:
         OSError: another process holds it.
     """
-    (folder / STATE).mkdir(exist_ok=True)
+    (folder / SUBFOLDER).mkdir(exist_ok=True)
     try:
-        with FileLock(folder / STATE / "lock", timeout=0):
+        with FileLock(folder / SUBFOLDER / "lock", timeout=0):
             yield
     except Timeout:
         raise OSError(

@@ -1,6 +1,6 @@
 """Run folders: runs that can be killed at any moment, made, trained, resumed and extended.
 
-One process trains the population of a run folder. What it needs to go on is in `state/`:
+One process trains the population of a run folder. What it needs to go on is in `checkpoint/`:
 
 - `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
 - `replay.f32`: the replay, mapped into memory, with all that the checkpoint refers to;
@@ -29,7 +29,7 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Streams
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs
-from offairl_lite.runs.checkpoints import STATE, in_words
+from offairl_lite.runs.checkpoints import SUBFOLDER, in_words
 from offairl_lite.runs.provenance import origin
 from offairl_lite.runs.records import (
     HEADER,
@@ -113,7 +113,7 @@ def create(
         inherited,
     )
     there, space = folder.resolve(), checkpoints.disk_space(spec)
-    checkpoints.require_room(next(p for p in (there, *there.parents) if p.exists()), space, config)
+    checkpoints.require_room(there, space, config)
     _write(there, spec, given)
     return in_words(space)
 
@@ -123,7 +123,7 @@ def _write(folder: Path, spec: RunSpec, given: Mapping[str, inputs.Weights]) -> 
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as hidden:
         made = Path(hidden) / "run"
-        (made / STATE).mkdir(parents=True)
+        (made / SUBFOLDER).mkdir(parents=True)
         (made / "curve.csv").write_text(HEADER)
         begun = {"state": "waiting", "step": 0, "wall_s": 0.0, "diverged": {}}
         write_json(made / "run.json", {**begun, **origin(Execution(**spec.execution))})

@@ -50,7 +50,7 @@ class Failure(NamedTuple):
 
 def log_of(folder: Path) -> Path:
     """Return the file with the output of a job's processes."""
-    return folder / "state" / "log.txt"
+    return folder / "checkpoint" / "log.txt"
 
 
 def resume(folder: Path) -> list[str]:

@@ -19,7 +19,7 @@ from offairl_lite.core.acceleration import fitting, is_large
 from offairl_lite.core.loop import Run
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
-from offairl_lite.runs import folders, inputs, jobs, records, worker
+from offairl_lite.runs import checkpoints, folders, inputs, jobs, records, worker
 from offairl_lite.runs.grid import axes, grid, options, options_named, point, require_use
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
@@ -156,6 +156,8 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
             )
         if processes is not None and processes < 1:
             raise ValueError(f"processes is {processes}; expected at least 1")
+        if len(set(seeds)) < len(seeds):
+            raise ValueError(f"seeds are {seeds}: two members with one seed are the same")
         chosen = {**schedule, **learner, **discriminator}
         points = _points(find(experiment), scale, chosen, grid, only)
         place = out or Path("runs") / f"{'sweep-' if grid else ''}{experiment}-{scale}"
@@ -243,6 +245,10 @@ def _create(
             data[env_id] = demonstrations.load(
                 env_id, given.trajectories, given.dataset, given.subsample, given.experts
             )
+    every = folders.CHECKPOINT_EVERY
+    specs = [RunSpec(points[name], seeds, {}, None, every) for name, (seeds, _) in fresh.items()]
+    if specs:
+        checkpoints.require_room(place, sum(map(checkpoints.disk_space, specs)), specs[0].config)
     for name, (missing, inherited) in fresh.items():
         config, parts = points[name], max(min(spread[name], len(missing)), 1)
         size, more = divmod(len(missing), parts)

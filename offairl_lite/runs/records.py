@@ -7,7 +7,7 @@
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
-- `state/`: what is needed to go on, and nowhere else (see `folders`).
+- `checkpoint/`: what is needed to go on, and nowhere else (see `folders`).
 
 The seeds of one run may be spread over several run folders, each trained by a process of its own:
 `NAME/seeds-0-1-2`, `NAME/seeds-3-4` and so on. `read(NAME)` joins them.

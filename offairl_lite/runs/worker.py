@@ -1,6 +1,7 @@
 """Training in a run folder: from its last checkpoint to the end, by one process at a time."""
 
 import logging
+import signal
 import sys
 import time
 import warnings
@@ -15,7 +16,7 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Trainer
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs, jobs
-from offairl_lite.runs.checkpoints import STATE
+from offairl_lite.runs.checkpoints import SUBFOLDER
 from offairl_lite.runs.provenance import changed, origin
 from offairl_lite.runs.records import HEADER, RunSpec, lines, read_json, write_json, write_whole
 
@@ -88,7 +89,7 @@ class _Worker:
 
     def __init__(self, folder: Path, spec: RunSpec, progress: bool) -> None:
         self.folder, self.spec, self.progress = folder, spec, progress
-        self.curve, self.replay = folder / "curve.csv", folder / STATE / "replay.f32"
+        self.curve, self.replay = folder / "curve.csv", folder / SUBFOLDER / "replay.f32"
         self.trainer: Trainer
         # Steps at the last checkpoint, and steps and updates.
         self.step, self.saved = 0, 0
@@ -202,6 +203,8 @@ class _Worker:
 
 def main() -> None:
     """Train the run folder that the command line names: `python -m offairl_lite.runs.worker`."""
+    # A shell has its background jobs, and theirs, ignore what ends this process.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with jobs.terminable():
             work(Path(sys.argv[1]), progress=False)

@@ -86,7 +86,7 @@ def test_the_spread_of_f_is_that_of_sampled_codes(name):
     x = seen.obs if "r(s)" in name else torch.cat([seen.obs, seen.action], -1)
     terms = [(discriminator.reward_code, discriminator.reward_params, x, 1.0)]
     if "r(s)" in name:
-        gamma = config.discriminator.discriminator_discount
+        gamma = config.discriminator.discount
         code, params = discriminator.value_code, discriminator.value_params
         terms += [(code, params, seen.obs, -1.0), (code, params, seen.next_obs, gamma)]
     variance = divergence = 0

@@ -129,8 +129,8 @@ def test_spectral_normalisation_bounds_the_slopes_of_reward_and_shaping():
     config = CONFIGS["spectral r(s, a)"].change(gradient_penalty=0.0)
     batches = data(batch=64, dtype=torch.float32)
     bounded, free = (
-        make(config.change(spectral_norm=there), dtype=torch.float32, learning_rate=0.05)
-        for there in (True, False)
+        make(config.change(ablation=ablation), dtype=torch.float32, learning_rate=0.05)
+        for ablation in ("spectral-norm", None)
     )
     for _ in range(200):
         free.update(*batches)

@@ -7,6 +7,8 @@ import scipy.integrate
 import scipy.stats
 import torch
 
+from offairl_lite.ablations.released import ReleasedPolicy, ReleasedProduct
+from offairl_lite.core import policies
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import (
     MAX_ACTION,
@@ -34,18 +36,18 @@ def constant_actor(mean, std):
     return actor, params
 
 
-def log_prob(actor, params, pre_tanh, **options):
+def log_prob(actor, params, pre_tanh):
     u = torch.as_tensor(pre_tanh, dtype=torch.float64).view(1, -1, 1)
-    return actor.log_prob(params, torch.zeros_like(u), u, **options)[0]
+    return actor.log_prob(params, torch.zeros_like(u), u)[0]
 
 
-def integral(mean, std, **options):
+def integral(mean, std):
     """Integrate the density over the actions, a = tanh(u), piece by piece in u."""
     actor, params = constant_actor(mean, std)
 
     def density(u):
         slope = 1 / math.cosh(u) ** 2
-        return log_prob(actor, params, [u], **options).exp().item() * slope
+        return log_prob(actor, params, [u]).exp().item() * slope
 
     edges = np.unique(np.clip([-18, mean - 8 * std, mean, 0, mean + 8 * std, 18], -18, 18))
     return sum(scipy.integrate.quad(density, a, b, limit=200)[0] for a, b in pairwise(edges))
@@ -65,18 +67,6 @@ def test_the_density_integrates_to_one_in_the_action_itself():
         return log_prob(actor, params, [math.atanh(a)]).exp().item()
 
     assert scipy.integrate.quad(density, -1, 1, limit=200)[0] == pytest.approx(1, abs=1e-7)
-
-
-@pytest.mark.parametrize(("mean", "std"), CASES.values(), ids=CASES)
-def test_the_released_density_is_a_gaussian_at_the_action_and_no_density(mean, std):
-    actor, params = constant_actor(mean, std)
-    u = np.array(SATURATED)
-    released = log_prob(actor, params, u, density="released")
-    np.testing.assert_allclose(released, scipy.stats.norm.logpdf(np.tanh(u), mean, std), rtol=1e-9)
-    inside = np.diff(scipy.stats.norm.cdf([-1, 1], mean, std)).item()
-    assert integral(mean, std, density="released") == pytest.approx(inside, abs=1e-6)
-    # Only where σ is small and μ well inside does it come near a density.
-    assert (inside < 0.96) == (std >= 0.5)
 
 
 @pytest.mark.parametrize(("mean", "std"), CASES.values(), ids=CASES)
@@ -207,7 +197,8 @@ def test_the_deterministic_actor_adds_noise_to_the_action():
 ACTORS = [
     SquashedGaussian(3, 2, (7, 5), (-4.0, 1.0)),
     Deterministic(3, 2, (7,), 0.2),
-    MultiplicativeGaussian(3, 2, (7,), (-4.0, 1.0), 3, (5,), (6, 5), "sigmoid", "released"),
+    MultiplicativeGaussian(3, 2, (7,), (-4.0, 1.0), 3, (5,), (6, 5), "sigmoid"),
+    ReleasedPolicy(3, 2, (7,), (-4.0, 1.0), 3, (5,), (6, 5)),
 ]
 
 
@@ -234,6 +225,17 @@ def test_a_policy_comes_back_from_a_file(actor, tmp_path):
     assert (loaded.env_id, loaded.actor) == (policy.env_id, policy.actor)
     obs = Streams((4, 5)).normal(6, 3)
     assert torch.equal(loaded.act(obs), policy.act(obs))
+
+
+def test_an_actor_of_no_known_type_is_refused(tmp_path, monkeypatch):
+    """An ablation's is unknown until its module is imported."""
+    path, known = tmp_path / "policy.safetensors", policies._actors()
+    population(ReleasedPolicy(3, 2, (7,))).save(path)
+    del known["ReleasedPolicy"]
+    monkeypatch.setattr(policies, "_actors", lambda: known)
+    message = r"is 'ReleasedPolicy'; expected one of SquashedGaussian, .*offairl_lite\.ablations"
+    with pytest.raises(ValueError, match=message):
+        Policy.load(path)
 
 
 def test_members_can_be_taken_out():
@@ -270,16 +272,13 @@ def test_the_composition_is_the_normalised_product_of_the_primitives(count):
         assert scipy.stats.norm.pdf(u, mu.item(), sigma) == pytest.approx(expected, rel=1e-9)
 
 
-def test_compositions_by_hand():
+def test_the_composition_by_hand():
     mean, std = torch.tensor([[0.0], [1.0]]), torch.tensor([[1.0], [0.5]])
     weight = torch.tensor([1.0, 0.5])
-    # Precisions 1 and 0.5 · 4; as released 1 and 0.5 · 2.
+    # Precisions 1 and 0.5 · 4.
     mu, log_sigma = product_of_gaussians(mean, std.log(), weight)
     assert mu.item() == pytest.approx(2 / 3)
     assert log_sigma.exp().item() == pytest.approx(3**-0.5)
-    mu, log_sigma = product_of_gaussians(mean, std.log(), weight, "released")
-    assert mu.item() == pytest.approx(1 / 2)
-    assert log_sigma.exp().item() == pytest.approx(1 / 2)
 
 
 def test_one_primitive_is_the_plain_actor():
@@ -342,10 +341,10 @@ def test_gradients_reach_the_gate_and_the_primitives_unless_these_are_fixed(fixe
         assert not (fixed and part.any())
 
 
-@pytest.mark.parametrize("composition", ["exact", "released"])
+@pytest.mark.parametrize("kind", [MultiplicativeGaussian, ReleasedProduct, ReleasedPolicy])
 @pytest.mark.parametrize("gating", GATINGS)
-def test_gradients_of_compositions_are_finite_differences(gating, composition):
-    actor = MultiplicativeGaussian(2, 2, (3,), RANGE, 3, (3,), (3,), gating, composition)
+def test_gradients_of_compositions_are_finite_differences(gating, kind):
+    actor = kind(2, 2, (3,), RANGE, 3, (3,), (3,), gating)
     params = actor.init(Streams((0, 1))).double().requires_grad_()
     obs, u = (Streams((4, 5)).normal(3, 2).double() for _ in range(2))
     assert torch.autograd.gradcheck(

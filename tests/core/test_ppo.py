@@ -188,15 +188,6 @@ def test_minibatches_take_the_same_steps_of_everything():
         assert part.flatten(1).tolist() == [[4, 0], [11, 11]]
 
 
-def test_the_ratio_is_of_exact_densities_whatever_the_discriminator_sees():
-    exact, released = make(), make(log_density="released")
-    block, reward, _ = data(exact)
-    torch.testing.assert_close(
-        exact.rollout(block, reward).log_prob, released.rollout(block, reward).log_prob
-    )
-    assert (log_prob(exact, block) - log_prob(released, block)).abs().max() > 0.1
-
-
 def test_an_update_raises_the_probability_of_what_went_well():
     learner = make(learning_rate=1e-3)
     block, reward, noise = data(learner)

@@ -230,16 +230,17 @@ def test_the_cores_are_given_back():
     [
         {"reward": "implementation-2"},
         {"reward": "frozen", "pretrained": "primitives", "primitives": 2, "start_steps": 20},
+        {"reward": "frozen", "env_id": "Hopper-v5", "absorbing": "bootstrap"},
         {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
 def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monkeypatch, changes):
-    small = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
-    config = tiny.change(**small, **changes)
+    config = tiny.change(**changes)
     # A clock that goes on by a second whenever it is looked at.
     monkeypatch.setattr(time, "perf_counter", count().__next__)
     every = changes.get("update_every", 20)
-    evaluations = config.total_steps / config.schedule.eval_every
-    seconds = config.total_steps / every + config.schedule.eval_episodes * evaluations
+    schedule = config.schedule
+    evaluations = schedule.total_steps / schedule.eval_every
+    seconds = schedule.total_steps / every + schedule.eval_episodes * evaluations
     assert bench.estimate(config, 2) == pytest.approx(seconds)

@@ -514,7 +514,7 @@ def test_processes_share_the_seeds(capsys, elsewhere):
     names = [path.name for path in run_folders("both")]
     assert names == ["seeds-0", "seeds-1"]
     for path in run_folders("both"):
-        assert "seed" not in (path / "state" / "log.txt").read_text()
+        assert "seed" not in (path / "checkpoint" / "log.txt").read_text()
         assert manifest(path)["state"] == "finished"
     # The same command again finds all done; further seeds join them.
     shutil.rmtree("both/seeds-1")
@@ -543,7 +543,7 @@ def test_a_process_that_fails_is_told_of(capsys, elsewhere):
     offairl(f"run maze-expert --out both {SMALL} --processes 2")
     offairl("resume both --steps 300")
     folders.extend("both", 400)
-    log, replay = (Path("both/seeds-0/state") / name for name in ("log.txt", "replay.f32"))
+    log, replay = (Path("both/seeds-0/checkpoint") / name for name in ("log.txt", "replay.f32"))
     content = bytearray(replay.read_bytes())
     content[:] = bytes(len(content))
     replay.write_bytes(content)

@@ -401,7 +401,7 @@ def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
 
 def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folder):
     run(folder, plain)
-    path = folder / "state" / "checkpoint.safetensors"
+    path = folder / "checkpoint" / "checkpoint.safetensors"
     state, about = load_weights(path, "checkpoint")
     for name in ("pretrained", "start_steps"):
         del about["identity"][name]
@@ -475,7 +475,7 @@ def refused(folder, message, kind=ValueError):
 
 
 def test_any_damaged_byte_of_a_checkpoint_is_noticed(interrupted, folder):
-    path = folder / "state" / "checkpoint.safetensors"
+    path = folder / "checkpoint" / "checkpoint.safetensors"
     sound, rng = path.read_bytes(), np.random.default_rng(0)
     header = 8 + int.from_bytes(sound[:8], "little")
     places = [0, 3, 8, header - 1, header, len(sound) - 1]
@@ -507,7 +507,7 @@ def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_
         (plain, SEEDS, "replay.f32 is damaged: it is not as it was at the checkpoint"),
     ]:
         run(other, config, seeds=seeds)
-        for name in ("state/checkpoint.safetensors", "curve.csv"):
+        for name in ("checkpoint/checkpoint.safetensors", "curve.csv"):
             shutil.copy(other / name, folder / name)
         refused(folder, message)
         shutil.rmtree(other)
@@ -533,14 +533,14 @@ def test_a_changed_configuration_is_refused(interrupted, folder, change, message
 
 
 def test_a_checkpoint_of_an_older_format_is_refused(interrupted, folder):
-    path = folder / "state" / "checkpoint.safetensors"
+    path = folder / "checkpoint" / "checkpoint.safetensors"
     state, about = networks.load_weights(path, "checkpoint")
     networks.save_weights(path, state, {**about, "format": 1})
     refused(folder, "checkpoint.safetensors has format 1, .* reads format 3: use the version")
 
 
 def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
-    for path in (folder / "state" / "replay.f32", folder / "curve.csv"):
+    for path in (folder / "checkpoint" / "replay.f32", folder / "curve.csv"):
         name, content = path.name, path.read_bytes()
         path.write_bytes(content[:100])
         refused(folder, f"{name} is damaged: it had .* bytes, and has 100; bring")
@@ -550,14 +550,14 @@ def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
         if name == "replay.f32":
             refused(folder, "replay.f32 is damaged: it is not as it was")
             path.write_bytes(content)
-    (folder / "state" / "checkpoint.safetensors").unlink()
+    (folder / "checkpoint" / "checkpoint.safetensors").unlink()
     refused(folder, "checkpoint.safetensors is gone, and .* step 80", FileNotFoundError)
     # As it is where a record was copied without it.
-    shutil.rmtree(folder / "state")
+    shutil.rmtree(folder / "checkpoint")
     refused(folder, "checkpoint.safetensors is gone", FileNotFoundError)
     with pytest.raises(FileNotFoundError, match="is gone"):
         folders.extend(folder, 200)
-    assert not (folder / "state").exists()
+    assert not (folder / "checkpoint").exists()
 
 
 def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonstrations):
@@ -762,9 +762,9 @@ def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
     run(folder, config, demonstrations=demonstrations, **inherited(config))
     used = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     # While it is written, a second checkpoint is there.
-    used += (folder / "state" / "checkpoint.safetensors").stat().st_size
+    used += (folder / "checkpoint" / "checkpoint.safetensors").stat().st_size
     foreseen = checkpoints.disk_space(records.RunSpec.read(folder))
-    replay = (folder / "state" / "replay.f32").stat().st_size
+    replay = (folder / "checkpoint" / "replay.f32").stat().st_size
     assert used < foreseen == replay + len(SEEDS) * checkpoints.MARGIN
 
 
@@ -820,7 +820,7 @@ def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypat
 
 def test_a_record_is_verified_without_its_checkpoints(plain, folder):
     run(folder, plain.change(total_steps=150))
-    shutil.rmtree(folder / "state")
+    shutil.rmtree(folder / "checkpoint")
     recorded = records.read(folder).rows
     for evaluations in (1, 3):
         olds, news = zip(*folders.verify(folder, evaluations, progress=False), strict=True)

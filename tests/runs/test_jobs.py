@@ -197,7 +197,7 @@ def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeyp
         }
         for folder in todo
     ]
-    logs = [files.pop(Path("state/log.txt")).splitlines() for files in found]
+    logs = [files.pop(Path("checkpoint/log.txt")).splitlines() for files in found]
     assert found[0] == found[1]
     assert next([line for line in log if line[0] != "#"] for log in logs) == [
         *("from step 0", "out of luck", "from step 20")

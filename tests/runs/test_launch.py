@@ -1,7 +1,9 @@
 import json
 import os
+import shutil
 import subprocess
 import sys
+from collections import namedtuple
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import pytest
 import tyro
 
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.runs import folders, jobs, launch, worker
+from offairl_lite.runs import checkpoints, folders, jobs, launch, worker
 from offairl_lite.runs.records import HEADER, RunSpec, read
 
 SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
@@ -140,6 +142,21 @@ def test_idle_cores_share_large_networks(line, parts, offairl, monkeypatch):
     assert len(made) == 2 * parts
     names = [path.name for path, _ in made if path.parent.name == "temperature=0.1"]
     assert names == (["seeds-0", "seeds-3"] if parts == 2 else [])
+
+
+def test_a_disk_must_have_room_for_all_runs(offairl, monkeypatch):
+    usage = namedtuple("Usage", "total used free")(10**9, 10**9, 3 * checkpoints.MARGIN)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
+    with pytest.raises(OSError, match=r"needs .* MB of disk.* left: lower replay_size"):
+        offairl(line)
+    assert not Path("here").exists()
+    assert len(offairl(line.replace("0.1,0.2", "0.1"))) == 1
+
+
+def test_a_seed_is_given_once(offairl):
+    with pytest.raises(ValueError, match=r"seeds are \(0, 0\): two members with one seed"):
+        offairl(f"maze-expert {SMALL.replace('0 3', '0 0')} --processes 2")
 
 
 def test_seeds_that_are_missing_are_made(offairl):

@@ -1,0 +1,39 @@
+"""The experiments, as data: each name means one configuration at demo and one at full scale."""
+
+from collections.abc import Mapping
+
+from offairl_lite.config import Config
+from offairl_lite.experiments import mazes, robots
+from offairl_lite.experiments.base import SEEDS, Experiment
+from offairl_lite.scale import Scale
+
+__all__ = ["EXPERIMENTS", "SEEDS", "Experiment", "configure", "find"]
+
+EXPERIMENTS: Mapping[str, Experiment] = {**mazes.EXPERIMENTS, **robots.EXPERIMENTS}
+
+
+def find(name: str) -> Experiment:
+    """Return an experiment by name.
+
+    Raises:
+        ValueError: there is none; the message lists those there are.
+    """
+    if name not in EXPERIMENTS:
+        raise ValueError(f"no experiment {name!r}; there are: {', '.join(EXPERIMENTS)}")
+    return EXPERIMENTS[name]
+
+
+def configure(run: str, scale: Scale) -> Config:
+    """Return the configuration of a run: `EXPERIMENT`, or `EXPERIMENT/VARIANT`.
+
+    Raises:
+        ValueError: there is no such experiment, or no such run of it; the message lists those
+            there are.
+    """
+    name, _, variant = run.partition("/")
+    experiment = find(name)
+    variants = experiment.variants or {"": {}}
+    if variant not in variants:
+        there = ", ".join(f"{name}/{v}" if v else name for v in variants)
+        raise ValueError(f"no run {run!r}; there are: {there}")
+    return experiment.configs[scale].change(**variants[variant])
