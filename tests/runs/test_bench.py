@@ -234,6 +234,7 @@ PRIMITIVES = {"primitives": 2, **LAYERS}
     [
         {"reward": "implementation-2"},
         {"reward": "frozen", "pretrained": "primitives", "start_steps": 20, **PRIMITIVES},
+        {"reward": "frozen", "env_id": "Hopper-v5", "absorbing": "bootstrap"},
         {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
