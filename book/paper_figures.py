@@ -1,7 +1,7 @@
 """The paper's figures and table (Arnob 2020), and the records behind each.
 
 Beside the exact log π of the paper's logit stands the density of the
-replay, without its tail (`Config.replay_density`), and the same with the
+replay, without its tail (`DiscriminatorConfig.loss`), and the same with the
 temperature of the logit, 1. The paper's random starts are by an expert;
 those by the imitator stand beside them. DAC on Hopper is an experiment of
 its own, with the α of the paper.

@@ -1,3 +1,4 @@
 """Off-policy adversarial inverse reinforcement learning, small and fast."""
 
-from offairl_lite import envs  # noqa: F401  (registers the tasks with Gymnasium)
+# The tasks are registered with Gymnasium, and the ablations with the settings.
+from offairl_lite import ablations, envs  # noqa: F401

@@ -14,6 +14,7 @@ from offairl_lite.core.discriminator import Discriminator as CoreDiscriminator
 from offairl_lite.core.networks import Normaliser as CoreNormaliser
 from offairl_lite.core.replay import Batch as CoreBatch
 from offairl_lite.core.rng import Streams
+from offairl_lite.core.sac import ACTOR_DELAY
 from offairl_lite.core.sac import SAC as CoreSAC
 
 LEFT = "offairl/PointMazeLeft-v0"
@@ -282,7 +283,8 @@ CORE_CONFIG = CORRECTED.change(hidden=(64, 64), reward_hidden=(64, 64), shaping_
 def core_learners():
     """Return SAC and a discriminator of one member, whose observations are scaled already."""
     streams, scale = Streams([0]), CoreNormaliser.identity(1, OBS)
-    return (kind(CORE_CONFIG, OBS, ACT, streams, scale) for kind in (CoreSAC, CoreDiscriminator))
+    sac = CoreSAC(CORE_CONFIG.learner, OBS, ACT, streams, scale)
+    return sac, CoreDiscriminator(CORE_CONFIG.discriminator, OBS, ACT, streams, scale)
 
 
 def core_networks(sac, discriminator):
@@ -304,13 +306,13 @@ def core_weights(net, params):
     return [(bias[0, 0], weight[0].T) for bias, weight in net.layers(params.detach())]
 
 
-def core_update(sac, discriminator, expert, policy, mix, noise):
-    """Update the discriminator, then SAC on its reward."""
+def core_update(sac, discriminator, expert, policy, mix, noise, delayed):
+    """Update the discriminator, then SAC on its reward; `delayed` is the actor's turn."""
     expert, policy = (CoreBatch(*(x[None] for x in side)) for side in (expert, policy))
-    log_probs = sac.log_prob(expert), sac.log_prob(policy)
+    log_probs = (sac.log_prob(sac.actor_params, x.obs, x.pre_tanh) for x in (expert, policy))
     discriminator.update(expert, policy, *log_probs, mix[None].expand(1, B, 4))
     reward = discriminator.reward(policy, None)
-    sac.update(policy, reward, torch.zeros(1, 1), noise[:, None])
+    sac.update(policy, reward, torch.zeros(1, 1), noise[:, None], delayed)
 
 
 def plain_networks(sac, discriminator):
@@ -327,7 +329,7 @@ def linear(net):
 def test_core_with_one_member_takes_the_same_steps():
     rng = generator()
     sac, discriminator = plain.SAC(OBS, ACT, rng), plain.Discriminator(OBS, rng)
-    core = tuple(core_learners())
+    core = core_learners()
     ours = plain_networks(sac, discriminator)
     with torch.no_grad():
         for name, network in core_networks(*core).items():
@@ -337,11 +339,12 @@ def test_core_with_one_member_takes_the_same_steps():
                 layer.weight.copy_(weight)
     start = {name: [layer.weight.clone() for layer in linear(net)] for name, net in ours.items()}
 
-    for _ in range(50):
+    for step in range(50):
         expert, policy = random_batch(rng), random_batch(rng)
         mix = torch.rand(B, 1, generator=rng)
         noise = torch.randn(2, B, ACT, generator=rng)
-        core_update(*core, expert, policy, mix, noise)
+        delayed = (step + 1) % ACTOR_DELAY == 0
+        core_update(*core, expert, policy, mix, noise, delayed)
         log_probs = [sac.actor.log_prob(side) for side in (expert, policy)]
         loss = plain.airl_loss(discriminator.f, expert, policy, log_probs, mix)
         plain.descend(loss, discriminator.optimizer)

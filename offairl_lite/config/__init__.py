@@ -9,7 +9,7 @@ optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is fille
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 from offairl_lite.config.groups import (
     DiscriminatorConfig,
@@ -39,6 +39,7 @@ __all__ = [
     "TD3Config",
     "differences",
     "flat_settings",
+    "used_settings",
 ]
 
 
@@ -205,13 +206,7 @@ class Config:
         """
         kept = self.flat()
         reward, ablation = (flat.get(name, kept.get(name)) for name in ("reward", "ablation"))
-        groups = [Schedule, _kind("learner", flat.get("learner", self.learner.kind), LearnerConfig)]
-        names = {"reward", "learner"}
-        if reward not in ("environment", "frozen"):
-            groups.append(_kind("ablation", ablation or "", DiscriminatorConfig))
-            names.add("ablation")
-        for group in groups:
-            names |= {group.renamed.get(name, name) for name in settings(group)}
+        names = used_settings(flat.get("learner", self.learner.kind), reward, ablation)
         return Config.of(**({name: x for name, x in kept.items() if name in names} | flat))
 
 
@@ -225,9 +220,30 @@ def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
+def used_settings(learner: str, reward: str, ablation: str | None = None) -> set[str]:
+    """Return the flat names of the settings for which a learner and a reward have a use.
+
+    Raises:
+        ValueError: there is no such learner or ablation.
+    """
+    groups, names = [Schedule, _kind("learner", learner, LearnerConfig)], {"reward", "learner"}
+    if reward not in ("environment", "frozen"):
+        groups.append(_kind("ablation", ablation or "", DiscriminatorConfig))
+        names.add("ablation")
+    for group in groups:
+        names |= {group.renamed.get(name, name) for name in settings(group)}
+    return names
+
+
 def flat_settings() -> dict[str, tuple[Any, Any, str]]:
     """Return type, default and group of every setting of any group, by its flat name."""
-    found = {"reward": (RewardName, "implementation-4", "discriminator")}
+    learners = Literal[tuple(filter(None, kinds(LearnerConfig)))]
+    ablations = Literal[tuple(filter(None, kinds(DiscriminatorConfig)))]
+    found = {
+        "reward": (RewardName, "implementation-4", "discriminator"),
+        "learner": (learners, "sac", "learner"),
+        "ablation": (ablations | None, None, "discriminator"),
+    }
     for base, group in ((Schedule, "schedule"), (LearnerConfig, "learner")):
         for kind in kinds(base).values():
             for field in fields(kind):

@@ -380,13 +380,20 @@ class Policy:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the file holds something else, or weights of another shape.
+            ValueError: the file holds something else, an actor of no known type, or weights of
+                another shape.
         """
         tensors, about = load_weights(path, "policy")
         shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.
-        actor = _actors()[shape.pop("name")](**shape)
+        name, known = shape.pop("name"), _actors()
+        if name not in known:
+            raise ValueError(
+                f"{path}: the actor is {name!r}; expected one of {', '.join(known)}. For the actor "
+                "of an ablation, import offairl_lite.ablations first"
+            )
+        actor = known[name](**shape)
         params = tensors["params"].float()  # Shipped experts' may be in half precision.
         if params.shape[1:] != (actor.num_params,):
             raise ValueError(

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from offairl_lite import ablations  # noqa: F401  (registers their settings)
 from offairl_lite.config import Config
 from offairl_lite.scale import Scale
 

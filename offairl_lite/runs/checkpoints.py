@@ -14,7 +14,7 @@ from filelock import FileLock, Timeout
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.config import Config
+from offairl_lite.config import Config, flat_settings
 from offairl_lite.core.loop import Trainer, replay_slots
 from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.replay import Replay
@@ -31,7 +31,7 @@ MARGIN = 2**23
 def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
     """Keep a trainer's state. The replay file still has what the checkpoint before it needs."""
     curve, replay = folder / "curve.csv", folder / SUBFOLDER / "replay.f32"
-    trainer.replay.flush()
+    trainer.collector.replay.flush()
     with open(curve, "rb") as file:
         os.fsync(file.fileno())
     state = trainer.state()
@@ -43,7 +43,7 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
         "finished": trainer.finished,
         "curve.csv": curve.stat().st_size,
         "replay.f32": replay.stat().st_size,
-        "ends": _ends(trainer.replay),
+        "ends": _ends(trainer.collector.replay),
         "wall_s": wall_s,
         "diverged": trainer.diverged,
     }
@@ -78,8 +78,9 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
     require_format(path, about.get("format", 1))
     if not sound:
         raise ValueError(_damaged(folder, path, "its contents are not those that were written"))
-    # A field that the checkpoint does not know has the value it had before there was one.
-    was = {**json.loads(json.dumps(Config.of().flat())), **about["identity"]}
+    # A setting that the checkpoint does not know has the value it had before there was one.
+    defaults = {name: default for name, (_, default, _) in flat_settings().items()}
+    was = {**json.loads(json.dumps(defaults)), **about["identity"]}
     now = json.loads(json.dumps(_identity(folder, spec)))
     changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
     if changed:
@@ -105,7 +106,7 @@ def restore(
     """
     state, about = checkpoint
     trainer.restore(state)
-    if about["ends"] != _ends(trainer.replay):
+    if about["ends"] != _ends(trainer.collector.replay):
         path = folder / SUBFOLDER / "replay.f32"
         raise ValueError(_damaged(folder, path, "it is not as it was at the checkpoint"))
     trainer.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
@@ -154,7 +155,7 @@ def most_steps_between(spec: RunSpec) -> int:
     The block in which the warm-up ends may be cut short, and add to the next.
     """
     config = spec.config
-    block = config.flat()["update_every"] or envs.spec(config.env_id).max_episode_steps
+    block = config.schedule.update_every or envs.spec(config.env_id).max_episode_steps
     return spec.checkpoint_every + 2 * (block or config.total_steps)
 
 
@@ -162,9 +163,9 @@ def disk_space(spec: RunSpec) -> int:
     """Return the bytes that a run takes at most: its replay, and a margin for all else."""
     config = spec.config
     with closing(envs.make(config.env_id, 1, 0)) as env:
-        obs = env.single_observation_space.shape[0] + (config.flat()["absorbing"] != "none")
+        obs = env.single_observation_space.shape[0] + (config.schedule.absorbing != "none")
         width = 2 * obs + env.single_action_space.shape[0] + 2
-    rows = replay_slots(config, most_steps_between(spec))
+    rows = replay_slots(config.schedule, most_steps_between(spec))
     return len(spec.seeds) * (4 * rows * width + MARGIN)
 
 
@@ -185,7 +186,7 @@ def require_room(place: Path, space: int, config: Config) -> None:
     if free < space:
         raise OSError(
             f"the run needs {in_words(space)} of disk, mostly replay, and {place} has "
-            f"{in_words(free)} left: lower replay_size ({config.flat()['replay_size']}), give "
+            f"{in_words(free)} left: lower replay_size ({config.schedule.replay_size}), give "
             "fewer seeds, or choose another disk"
         )
 

@@ -7,7 +7,7 @@ from contextlib import closing
 import torch
 
 from offairl_lite import envs
-from offairl_lite.config import Config, PPOConfig
+from offairl_lite.config import Config
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Streams
@@ -40,20 +40,21 @@ def estimate(config: Config, members: int) -> float:
     evaluate.
     """
     schedule = config.schedule
-    every = schedule.update_every if isinstance(config.learner, PPOConfig) else 20
-    if config.pretrained != "nothing":
-        config = config.change(pretrained="nothing")
+    every = schedule.update_every if config.learner.kind == "ppo" else 20
+    changes = {
+        "start_steps": 0,
+        "warmup_steps": every,
+        "update_every": every,
+        "total_steps": 10**9,
+        "eval_every": 10**9,
+        "eval_episodes": 1,
+        "replay_size": max(10_000, every),
+    }
     if config.reward == "frozen":
-        config = config.change(reward="environment", absorbing="none")
-    short = config.change(
-        start_steps=0,
-        warmup_steps=every,
-        update_every=every,
-        total_steps=10**9,
-        eval_every=10**9,
-        eval_episodes=1,
-        replay_size=max(10_000, every),
-    )
+        changes |= {"reward": "environment", "absorbing": "none"}
+    if config.pretrained != "nothing":
+        changes["pretrained"] = "nothing"
+    short = config.change(**changes)
     with closing(Trainer(short, range(members), random_demonstrations(config.env_id))) as trainer:
         blocks = trained_blocks(trainer)
         next(blocks)  # the warm-up's

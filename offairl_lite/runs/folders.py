@@ -71,8 +71,8 @@ def create(
         demonstrations: where a reward is to be learned. `worker.work` loads them again if
             `demonstrations.load` has made them, and must be given them otherwise.
         frozen_reward: where `config.reward` is `frozen`.
-        pretrained_policy: where `config.carry` says what of it the actor begins with.
-        guide: a policy that acts at the start of episodes, where there are `config.start_steps`.
+        pretrained_policy: where `config.pretrained` says what of it the actor begins with.
+        guide: a policy that acts at the start of episodes, where there are `start_steps`.
         sources: the files that `frozen_reward`, `pretrained_policy` and `guide` were loaded from,
             for the record.
         members: which members of these files they are, if not all.
@@ -147,7 +147,7 @@ def _require_fit(
 ) -> None:
     """Make a trainer, which refuses what does not fit before anything is written."""
     if config.reward != "gan-gcl":  # It compares the size of its replay, a small one, with others.
-        config = config.change(replay_size=config.flat()["update_every"] or 1)
+        config = config.change(replay_size=config.schedule.update_every or 1)
     Trainer(config, seeds, demonstrations, **given, execution=execution).close()
 
 

@@ -24,7 +24,7 @@ Weights = Reward | Policy
 
 CURES = {
     "frozen_reward": "--reward frozen",
-    "pretrained_policy": "--carry policy",
+    "pretrained_policy": "--pretrained policy",
     "guide": "--start-steps 50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
@@ -32,11 +32,10 @@ CURES = {
 
 def needed(config: Config) -> dict[str, type[Weights]]:
     """Return what a configuration needs of other runs, and of which kind it is."""
-    flat = config.flat()
     uses = {
         "frozen_reward": (config.reward == "frozen", Reward),
-        "pretrained_policy": (flat["carry"] != "nothing", Policy),
-        "guide": (flat["start_steps"] > 0, Policy),
+        "pretrained_policy": (config.pretrained != "nothing", Policy),
+        "guide": (config.schedule.start_steps > 0, Policy),
     }
     return {name: kind for name, (is_needed, kind) in uses.items() if is_needed}
 

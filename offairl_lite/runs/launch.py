@@ -20,7 +20,7 @@ from offairl_lite.core.loop import Run
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, Experiment, find
 from offairl_lite.runs import checkpoints, folders, inputs, jobs, records, worker
-from offairl_lite.runs.grid import axes, configuration, grid, options
+from offairl_lite.runs.grid import axes, grid, options, options_named, point, require_use
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
 
@@ -46,7 +46,7 @@ class Given:
     population."""
 
     pretrained_policy: tuple[Path, ...] = ()
-    """An earlier run, or its policy.safetensors, where `carry` is not nothing."""
+    """An earlier run, or its policy.safetensors, where `pretrained` is not nothing."""
 
     guide: tuple[Path, ...] = ()
     """Policies that act at the start of episodes, where there are `start_steps`."""
@@ -105,7 +105,7 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
         command: what a job runs.
     """
     experiment, defaults = find(name), (name, size)
-    kind, config = options(experiment.configs[size])
+    settings = options(experiment.configs[size])
 
     def run(
         experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
@@ -120,7 +120,9 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
         engine: jobs.Engine = "processes",
         address: str | None = None,
         given: Annotated[Given, OmitArgPrefixes] = Given(experts=experiment.experts[size]),
-        config: Annotated[kind, OmitArgPrefixes] = config,
+        schedule: settings["schedule"] = {},  # noqa: B006
+        learner: settings["learner"] = {},  # noqa: B006
+        discriminator: settings["discriminator"] = {},  # noqa: B006
     ) -> None:
         """Run an experiment, in one configuration or in many, and record it; or go on with it.
 
@@ -130,7 +132,7 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
         Args:
             experiment: its name; the defaults below are this experiment's at this scale.
             scale: demo takes minutes, full is the paper's protocol.
-            grid: a field and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
+            grid: a setting and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
                 combinations are run.
             only: of an experiment that is several runs, the names of some.
             seeds: of each run, one member of the population for each.
@@ -143,7 +145,9 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
             address: the address of the Ray cluster, auto on one of its nodes; by default a local
                 one.
             given: what the runs are given beside their configuration.
-            config: what all runs have in common.
+            schedule: when things happen, and on what, in all runs.
+            learner: what trains the policy.
+            discriminator: what the reward is learned by.
         """
         if (experiment, scale) != defaults:
             raise ValueError(
@@ -154,10 +158,12 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
             raise ValueError(f"processes is {processes}; expected at least 1")
         if len(set(seeds)) < len(seeds):
             raise ValueError(f"seeds are {seeds}: two members with one seed are the same")
-        points = _points(find(experiment), scale, configuration(config), grid, only)
+        chosen = {**schedule, **learner, **discriminator}
+        points = _points(find(experiment), scale, chosen, grid, only)
         place = out or Path("runs") / f"{'sweep-' if grid else ''}{experiment}-{scale}"
         source = find(experiment).reward_from
-        if source and not given.frozen_reward and config.reward == "frozen":
+        frozen = any(point.reward == "frozen" for point in points.values())
+        if source and not given.frozen_reward and frozen:
             raise ValueError(
                 f"{experiment} is paid by the reward of another run: first `offairl run {source}`, "
                 f"then add --frozen-reward runs/{source}-{scale}"
@@ -166,7 +172,9 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
         idle = processes or (1 if prepare or engine == "ray" else jobs.cores())
         each = idle // len(points) if given.device == "cpu" else 1
         alone = processes is not None and len(points) == 1
-        spread = {name: each if alone or is_large(point) else 1 for name, point in points.items()}
+        spread = {
+            name: each if alone or is_large(point.learner) else 1 for name, point in points.items()
+        }
         about = {"experiment": experiment, "scale": scale}
         data = _create(place, points, seeds, spread, given, about)
         if not prepare:
@@ -178,30 +186,32 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
 
 
 def _points(
-    experiment: Experiment, scale: Scale, config: Config, given: Sequence[str], only: Sequence[str]
+    experiment: Experiment,
+    scale: Scale,
+    chosen: Mapping[str, Any],
+    given: Sequence[str],
+    only: Sequence[str],
 ) -> dict[str, Config]:
     """Return the configurations of an experiment's own runs, or some of them, times a grid.
 
     Raises:
-        ValueError: there is no such run, the grid is no grid, or a run sets itself what `config`
-            has otherwise than the experiment.
+        ValueError: there is no such run, the grid is no grid, a run itself sets something else than
+            was chosen, or no run has a use for it.
     """
     variants = experiment.variants or {"": {}}
     if unknown := set(only) - set(variants):
         there = ", ".join(variants) or "none, since the experiment is one run"
         raise ValueError(f"no runs {sorted(unknown)}; there are: {there}")
-    values, points = axes(given), {}
+    values, base, points = axes(given), experiment.configs[scale], {}
     for variant, changes in variants.items():
         if only and variant not in only:
             continue
-        if lost := changes.keys() & differences(experiment.configs[scale], config):
-            raise ValueError(
-                f"{variant} sets {' and '.join(sorted(lost))} itself: vary that with --grid, which "
-                "comes last, or choose other runs with --only"
-            )
-        own = config.change(**changes)
+        with options_named(chosen):
+            own = point(variant, base, changes, chosen)
         some = grid(own, **values) if values else {"": own}
         points |= {",".join(filter(None, (variant, name))): p for name, p in some.items()}
+    with options_named(chosen):
+        require_use(points.values(), chosen)
     return points
 
 

@@ -26,6 +26,7 @@ from typing import Any, Self
 
 import torch
 
+from offairl_lite import ablations  # noqa: F401  (registers their settings and actors)
 from offairl_lite.config import Config, differences
 from offairl_lite.core.loop import Row, Run
 from offairl_lite.core.networks import Normaliser
@@ -106,8 +107,8 @@ class RunSpec:
         content = read_json(path)
         require_format(path, content.pop("format", 1))
         try:
-            flat = {k: tuple(v) if isinstance(v, list) else v for k, v in content["config"].items()}
-            changed = {"config": Config.of(**flat), "seeds": tuple(content["seeds"])}
+            config = Config.of(**content["config"])
+            changed = {"config": config, "seeds": tuple(content["seeds"])}
             return cls(**{**content, **changed})
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} does not describe a run: {error}") from error

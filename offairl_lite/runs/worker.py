@@ -162,7 +162,7 @@ class _Worker:
         if not trainer.trained:
             warnings.warn(
                 "nothing was trained: no episode was over between step "
-                f"{self.spec.config.flat()['warmup_steps']}, the end of the warm-up, and step "
+                f"{self.spec.config.schedule.warmup_steps}, the end of the warm-up, and step "
                 f"{trainer.steps}; raise total_steps",
                 stacklevel=2,
             )

@@ -39,8 +39,8 @@ def found(name):
 
 
 def test_lookup_detects():
-    assert found("config.Config.penalty_on") == CORRECTED.penalty_on
-    for wrong in ("config.Config.penalty", "sac.loss", "mcp.MCP"):
+    assert found("config.groups.Schedule.batch_size") == CORRECTED.schedule.batch_size
+    for wrong in ("config.groups.Schedule.penalty", "sac.loss", "mcp.MCP"):
         with pytest.raises(AttributeError):
             found(wrong)
 
@@ -53,14 +53,24 @@ def test_what_is_named_exists(name):
 def test_rewards_that_are_named_exist():
     named = set(re.findall(r'`reward="([\w-]+)"`', TABLES["from_paper_to_code"]))
     assert named
-    assert named <= set(get_args(RewardName))
+    assert named <= {name for names in get_args(RewardName) for name in get_args(names)}
 
 
 def test_the_ledger_has_all_that_the_release_preset_switches():
     ledger = TABLES["from_paper_to_code"].partition("(sec-ledger)=")[2]
     rows = [line for line in ledger.splitlines() if line.startswith("|") and "RELEASE" in line]
-    named = {name for row in rows for name in re.findall(r"Config\.(\w+)", row)}
-    assert set(differences(CORRECTED, RELEASE)) <= named
+    paths = [path for row in rows for path in re.findall(r"\{py:obj\}`~([\w.]+)`", row)]
+    named, groups = set(), set()
+    for path in paths:
+        group, _, name = path.rpartition(".")
+        if inspect.isclass(found(path)):
+            groups.add(found(path))
+        else:
+            groups.add(found(group))
+            named.add(found(group).renamed.get(name, name))
+    # A learner and an ablation are chosen by the types of their settings.
+    assert set(differences(CORRECTED, RELEASE)) - {"learner", "ablation"} <= named
+    assert {type(RELEASE.learner), type(RELEASE.discriminator)} <= groups
 
 
 def test_the_reference_has_every_module():

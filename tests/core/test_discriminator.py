@@ -238,7 +238,7 @@ def test_each_implementation_pays_what_it_says(number):
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_log_prob_may_be_left_to_the_generator(number):
+def test_log_prob_may_be_left_to_the_learner(number):
     config = CORRECTED.change(reward=f"implementation-{number}", **SMALL)
     batch, _, log_prob, *_ = data()
     with_it, without = (

@@ -30,10 +30,10 @@ def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, 
     assert {batch.obs.shape for batch, *_ in updates} == {(1, 8, 3)}
 
 
-@pytest.mark.parametrize(("generator", "kind"), [("sac", SAC), ("td3", TD3)])
-def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, generator, kind):
+@pytest.mark.parametrize(("learner", "kind"), [("sac", SAC), ("td3", TD3)])
+def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, learner, kind):
     updates = record(kind, "update")
-    run(tiny.change(reward="environment", generator=generator, update_every=31), (0,))
+    run(tiny.change(reward="environment", learner=learner, update_every=31), (0,))
     assert [delayed for *_, delayed in updates] == [False, True] * (6 * 31 // 2)
 
 

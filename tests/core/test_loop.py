@@ -203,17 +203,17 @@ def test_ppo_learns_from_each_block_once_and_never_from_the_warm_up(tiny, record
 
 
 @pytest.mark.parametrize("mode", ["none", "bootstrap", "analytic"])
-@pytest.mark.parametrize("generator", ["sac", "td3"])
+@pytest.mark.parametrize("learner", ["sac", "td3"])
 def test_members_that_end_at_different_times_train_in_blocks(
-    tiny, random_demonstrations, record, mode, generator
+    tiny, random_demonstrations, record, mode, learner
 ):
-    updates = record({"sac": SAC, "td3": TD3}[generator], "update")
+    updates = record({"sac": SAC, "td3": TD3}[learner], "update")
     config = tiny.change(
         env_id=HOPPER,
         update_every=50,
         absorbing=mode,
-        generator=generator,
-        reward="implementation-1" if generator == "sac" else "dac",
+        learner=learner,
+        reward="implementation-1" if learner == "sac" else "dac",
     )
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER, episodes=5))
     rows = [row for both in finish(trainer) for row in both]
@@ -252,7 +252,7 @@ def test_where_nothing_was_trained_it_is_said(tiny):
     "change",
     [
         {"reward": "implementation-1"},
-        {"reward": "implementation-2", "log_density": "released"},
+        {"reward": "implementation-2", "learner": "sac-released"},
         {"reward": "implementation-3"},
         {"reward": "dac", "learner": "td3"},
         {"reward": "dac"},

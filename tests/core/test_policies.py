@@ -8,6 +8,7 @@ import scipy.stats
 import torch
 
 from offairl_lite.ablations.released import ReleasedPolicy, ReleasedProduct
+from offairl_lite.core import policies
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import (
     MAX_ACTION,
@@ -224,6 +225,17 @@ def test_a_policy_comes_back_from_a_file(actor, tmp_path):
     assert (loaded.env_id, loaded.actor) == (policy.env_id, policy.actor)
     obs = Streams((4, 5)).normal(6, 3)
     assert torch.equal(loaded.act(obs), policy.act(obs))
+
+
+def test_an_actor_of_no_known_type_is_refused(tmp_path, monkeypatch):
+    """An ablation's is unknown until its module is imported."""
+    path, known = tmp_path / "policy.safetensors", policies._actors()
+    population(ReleasedPolicy(3, 2, (7,))).save(path)
+    del known["ReleasedPolicy"]
+    monkeypatch.setattr(policies, "_actors", lambda: known)
+    message = r"is 'ReleasedPolicy'; expected one of SquashedGaussian, .*offairl_lite\.ablations"
+    with pytest.raises(ValueError, match=message):
+        Policy.load(path)
 
 
 def test_members_can_be_taken_out():

@@ -98,8 +98,8 @@ def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, 
 @pytest.mark.parametrize(
     ("change", "given", "message"),
     [
-        ({"pretrained": "policy"}, (), "carry='policy' and a policy"),
-        ({}, ("pretrained_policy",), "carry='nothing' and a policy"),
+        ({"pretrained": "policy"}, (), "pretrained='policy' and a pretrained policy"),
+        ({}, ("pretrained_policy",), "pretrained='nothing' and a pretrained policy"),
         ({"start_steps": 5}, (), "start_steps=5 and a guide"),
         ({}, ("guide",), "start_steps=0 and a guide"),
     ],

@@ -6,14 +6,16 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import count
 from pathlib import Path
 
 import gymnasium
 import pytest
 import torch
 
+from offairl_lite.config import flat_settings
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.loop import Trainer
+from offairl_lite.core.collector import Collector
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rewards import Reward
@@ -22,12 +24,14 @@ from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import cli, folders, inputs, jobs, launch
+from offairl_lite.runs.grid import docstrings
 from offairl_lite.runs.records import RunSpec, read, run_folders
 
 SMALL = (
     "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
-    "--eval-episodes 2 --hidden 8 --reward-hidden 8 --shaping-hidden 8"
+    "--eval-episodes 2 --hidden 8"
 )
+LEARNED = f"{SMALL} --reward-hidden 8 --shaping-hidden 8"
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +92,7 @@ def test_list_says_how_long_a_run_takes_if_asked(capsys, monkeypatch):
     assert "6,000 steps, 5 seeds, about 5 minutes" in out
     assert "1,000,000 steps, 10 seeds, about 28 hours" in out
     assert len(asked) == 2 * len(EXPERIMENTS)
-    assert asked[0].generator == "td3"  # the first of its variants
+    assert asked[0].learner.kind == "td3"  # the first of its variants
     words = [cli._words(seconds) for seconds in (90, 7_000, 10**6)]
     assert words == ["about 90 seconds", "about 117 minutes", "about 12 days"]
 
@@ -119,18 +123,18 @@ def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewher
 
 
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
-    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {SMALL}")
+    offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {LEARNED}")
     about = RunSpec.read(elsewhere / "thin").demonstrations
     assert (about["trajectories"], about["subsample"], about["experts"]) == (2, 20, 1)
     offairl("resume thin --steps 300")
     assert read(elsewhere / "thin").steps[-1] == 300
     assert "subsample is 0" in failure(
-        f"run maze-imitation --subsample 0 --out zero {SMALL}", capsys
+        f"run maze-imitation --subsample 0 --out zero {LEARNED}", capsys
     )
 
 
 def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
-    offairl(f"run maze-imitation --trajectories 2 {SMALL}")
+    offairl(f"run maze-imitation --trajectories 2 {LEARNED}")
     folder = elsewhere / "runs" / "maze-imitation-demo"
     run = read(folder)
     assert (run.seeds, run.steps.tolist()) == ((0, 1), [100, 200])
@@ -150,7 +154,8 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert torch.equal(transfer.reward.params, run.reward.params)
 
     policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
-    given = f"--frozen-reward {reward} --carry policy --pretrained-policy {policy} --start-steps 20"
+    given = f"--frozen-reward {reward} --start-steps 20"
+    given += f" --pretrained policy --pretrained-policy {policy}"
     offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
     assert read(elsewhere / "carried").config.schedule.start_steps == 20
     sources = RunSpec.read(elsewhere / "carried").inherited
@@ -206,7 +211,7 @@ def test_a_task_and_data_of_one_s_own(capsys, write_dataset, elsewhere):
     write_dataset("my/pendulum-v0")
     offairl(
         "run imitate --env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 "
-        f"--update-every 50 --out mine {SMALL}"
+        f"--update-every 50 --out mine {LEARNED}"
     )
     run = read(elsewhere / "mine")
     assert run.config.env_id == run.policy.env_id == "Pendulum-v1"
@@ -262,11 +267,97 @@ def test_mistakes_are_answered_in_one_line(
     assert not (elsewhere / "runs").exists()
 
 
-def test_a_value_that_makes_no_sense_is_explained(capsys):
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--discount 2", "--discount 2.0: discount is 2.0; expected a number in [0, 1]"),
+        ("--hidden 8 0", "--hidden 8 0: hidden is (8, 0); expected a tuple, each part a whole"),
+        ("--no-log-prob-in-reward", "--no-log-prob-in-reward: log_prob_in_reward=False, and rew"),
+        ("--learner td3", "--learner td3: reward 'implementation-4' needs log π, and td3's"),
+        (
+            "--learner td3 --reward dac --temperature 0.2 --seeds 0",
+            "temperature has no use with learner='td3', reward='dac': leave it out",
+        ),
+        ("--reward environment --loss exact", "loss has no use with learner='sac', reward='env"),
+        ("--bottleneck 0.1", "--bottleneck 0.1: bottleneck has no use with learner='sac', rew"),
+        ("--reward environment --ablation one-sided", "ablation='one-sided' is of a discriminator"),
+        ("--grid discount=2", "discount=2.0: discount is 2.0; expected a number in [0, 1]"),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_explained(options, message, capsys, elsewhere):
+    found = failure(f"run maze-imitation {options}", capsys)
+    assert message in found
+    assert found.startswith("offairl: --") or "--grid" in options
+    assert not (elsewhere / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--temperature hot", "could not convert string to float: 'hot'"),
+        ("--update-every 1.5", "invalid literal for int() with base 10: '1.5'"),
+        ("--ablation two-sided", "invalid choice 'two-sided' for argument '--ablation'"),
+    ],
+)
+def test_a_text_that_is_no_value_is_explained(options, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        offairl("run maze-imitation --discount 2")
+        offairl(f"run maze-imitation {options}")
+    said = " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().err).split())
     assert stop.value.code == 2
-    assert "discount is 2.0; expected a number" in capsys.readouterr().err
+    assert message in said
+    assert options.split()[0] in said
+    assert "dummy" not in said
+    assert "Annotated" not in said
+
+
+def test_every_setting_is_an_option_with_its_default_and_what_it_is_for(capsys):
+    with pytest.raises(SystemExit):
+        offairl("run maze-imitation --help")
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    texts = docstrings()
+    assert set(texts) == set(flat_settings())
+    for name in flat_settings():
+        option = text.split(f" --{name.replace('_', '-')}", 1)[1]
+        assert texts[name][:40] in option[:300], name
+    assert "--temperature {None}|FLOAT α. None: learned from 0.2 on" in text
+    assert "(default: 64 64)" in text.split("--hidden [INT [INT ...]]", 1)[1][:90]
+    assert "--normalise, --no-normalise" in text
+    assert "(default, where it has a use: 0.5)" in text.split("--bottleneck FLOAT", 1)[1][:140]
+
+
+def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
+    made = []
+    monkeypatch.setattr(launch, "_create", lambda place, points, *_: made.append(points) or {})
+    monkeypatch.setattr(launch, "_finish", lambda *_, **__: None)
+
+    def of(line):
+        made.clear()
+        offairl(f"run {line}")
+        return made[0]
+
+    base = EXPERIMENTS["maze-imitation"].configs["demo"]
+    assert of("maze-imitation") == {"": base}
+    # What another learner and reward have no use for does not get in the way.
+    assert of("maze-imitation --learner td3 --reward dac") == {
+        "": base.change(learner="td3", reward="dac")
+    }
+    options = "--loss released --temperature None --hidden 8 8 --no-normalise --update-every 50"
+    changed = {"loss": "released", "temperature": None, "hidden": (8, 8), "normalise": False}
+    assert of(f"maze-imitation {options}") == {"": base.change(**changed, update_every=50)}
+    assert of("maze-imitation --ablation bottleneck --bottleneck 0.1") == {
+        "": base.change(ablation="bottleneck", bottleneck=0.1)
+    }
+    assert of("maze-imitation --reward-sees 0 1") == {"": base.change(reward_sees=(0, 1))}
+    # Of several runs, it changes those that have a use for it.
+    runs = of("hopper-dac --temperature 0.5")
+    assert runs["sac"].learner.temperature == 0.5
+    assert "temperature" not in runs["td3"].flat()
+    assert (
+        of("maze-penalties --only bottleneck --bottleneck 0.1")[
+            "bottleneck"
+        ].discriminator.bottleneck
+        == 0.1
+    )
 
 
 def test_an_unknown_scale_is_answered_in_one_line(capsys, monkeypatch):
@@ -286,17 +377,17 @@ def test_a_folder_in_use_is_left_alone(capsys, elsewhere):
 def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dataset):
     write_dataset("my/pendulum-v0")
     task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --update-every 50"
-    offairl(f"run imitate --out whole {task} {SMALL}")
-    step = Trainer._step
+    offairl(f"run imitate --out whole {task} {LEARNED}")
+    step = Collector.step
 
-    def stop(self):
+    def stop(self, explore):
         if self.steps == 150:
             raise KeyboardInterrupt
-        return step(self)
+        return step(self, explore)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_step", stop)
-        line = f"run imitate --out mine {task} {SMALL}"
+        patch.setattr(Collector, "step", stop)
+        line = f"run imitate --out mine {task} {LEARNED}"
         assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
     assert manifest(elsewhere / "mine")["state"] == "stopped: KeyboardInterrupt()"
     assert [row.step for row in read(elsewhere / "mine").rows] == [100, 100]
@@ -312,14 +403,14 @@ def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dat
 
 
 def test_a_scheduler_may_stop_a_run(capsys, elsewhere, monkeypatch):
-    step = Trainer._step
+    step = Collector.step
 
-    def stop(self):
+    def stop(self, explore):
         if self.steps == 150:
             os.kill(os.getpid(), signal.SIGTERM)
-        return step(self)
+        return step(self, explore)
 
-    monkeypatch.setattr(Trainer, "_step", stop)
+    monkeypatch.setattr(Collector, "step", stop)
     before = signal.getsignal(signal.SIGTERM)
     line = f"run maze-expert --out mine {SMALL}"
     assert failure(line, capsys) == "offairl: stopped; `offairl resume mine` goes on"
@@ -341,10 +432,10 @@ def manifest(folder):
 
 
 def test_a_member_that_diverges_is_told_of(capsys, elsewhere, monkeypatch):
-    original = SAC.update
+    original, updates = SAC.update, count()
 
     def update(self, *batch):
-        if self.updates == 150:
+        if next(updates) == 150:
             self.critic_params.data[:, 1] = torch.inf
         return original(self, *batch)
 
@@ -398,11 +489,11 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
         learned = net.init(Streams((0, 1))), Normaliser.identity(2, 3)
         Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
         line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen-reward one {small}"
-        offairl(f"{line} --carry policy --pretrained-policy one --out two --processes 2")
+        offairl(f"{line} --pretrained policy --pretrained-policy one --out two --processes 2")
         assert read("two").steps.tolist() == [100, 200]
         offairl("verify two")
         message = failure(f"{line} --pretrained-policy one --out three", capsys)
-        assert "--pretrained-policy one would not be used: add --carry policy" in message
+        assert "--pretrained-policy one would not be used: add --pretrained policy" in message
         assert not Path("three").exists()
     finally:
         for name in ("Arm-v0", "Heavy-v0"):
@@ -435,7 +526,7 @@ def test_processes_share_the_seeds(capsys, elsewhere):
 
 def test_what_is_given_of_other_runs_is_shared_out_with_the_seeds(elsewhere):
     offairl(f"run maze-expert --out one {SMALL}")
-    given = "--carry policy --pretrained-policy one --start-steps 20 --guide one"
+    given = "--pretrained policy --pretrained-policy one --start-steps 20 --guide one"
     offairl(f"run maze-expert --out both {SMALL} {given} --processes 2 --prepare")
     params = read("one").policy.params
     for i, path in enumerate(run_folders("both")):

@@ -10,6 +10,7 @@ import subprocess
 import time
 from collections import namedtuple
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from offairl_lite.core import networks
+from offairl_lite.core.collector import Collector
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
 from offairl_lite.core.policies import Policy, make_actor
@@ -85,15 +87,15 @@ class Broken(Exception):
 def interrupted(folder, plain, monkeypatch):
     """A run that was stopped at step 90, with a checkpoint at step 80."""
     folders.create(folder, plain, SEEDS, checkpoint_every=40)
-    step = Trainer._step
+    step = Collector.step
 
-    def stop(self):
+    def stop(self, explore):
         if self.steps == 90:
             raise Broken("a stop")
-        return step(self)
+        return step(self, explore)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_step", stop)
+        patch.setattr(Collector, "step", stop)
         with pytest.raises(Broken):
             resume(folder)
     return folder
@@ -401,9 +403,9 @@ def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folde
     run(folder, plain)
     path = folder / "checkpoint" / "checkpoint.safetensors"
     state, about = load_weights(path, "checkpoint")
-    for name in ("carry", "start_steps"):
+    for name in ("pretrained", "start_steps"):
         del about["identity"][name]
-    del about["digest"], state["guided"]
+    del about["digest"], state["collector.guided"]
     save_weights(path, state, {**about, "digest": inputs.digest(state, about)})
     folders.extend(folder, 200)
     resume(folder)
@@ -684,7 +686,9 @@ def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog
 
 def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch):
     monkeypatch.setattr(
-        Trainer, "_step", lambda self: self._give_up("eye", torch.ones(2) > 0, "look")
+        Collector,
+        "step",
+        lambda self, _: self.members.give_up(torch.ones(2) > 0, self.steps, "eye", "look"),
     )
     folders.create(folder, plain, SEEDS)
     with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is not finite"):
@@ -769,10 +773,10 @@ def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
 
 def diverging(*members):
     """SAC whose critics of some members turn infinite at update 70."""
-    original = SAC.update
+    original, updates = SAC.update, count()
 
     def update(self, *batch):
-        if self.updates == 70:
+        if next(updates) == 70:
             for member in members:
                 self.critic_params.data[:, member] = torch.inf
         return original(self, *batch)

@@ -27,6 +27,10 @@ def test_a_grid_is_the_product_of_its_values():
         ("update_every", 1000, "1000"),
         ("absorbing", "none", "none"),
         ("env_id", "Pendulum-v1", "Pendulum-v1"),
+        ("loss", "released", "released"),
+        ("ablation", "one-sided", "one-sided"),
+        ("ablation", None, "none"),
+        ("reward_sees", (0, 1), "0x1"),
     ],
 )
 def test_a_value_and_its_text_are_the_same(field, value, text):
@@ -49,14 +53,20 @@ def test_numbers_are_of_the_type_of_their_field():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"heat": [1]}, r"no field 'heat' to vary; there are: env_id, reward, .*, eval_episodes$"),
-        ({"temperature": ["hot"]}, r"temperature is 'hot'; expected float \| None"),
-        ({"batch_size": [1.5]}, "batch_size is '1.5'; expected int"),
-        ({"normalise": [1]}, "normalise is '1'; expected bool"),
-        ({"hidden": ["8,8"]}, r"hidden is '8,8'; expected tuple\[int, ...\]"),
-        ({"log_std_range": [(1, 2, 3)]}, r"'1x2x3'; expected tuple\[float, float\]"),
+        ({"heat": [1]}, r"no setting 'heat' to vary; there are: reward, .*env_id, .*bottleneck"),
+        ({"temperature": ["hot"]}, "temperature is 'hot'; expected a number above 0, or None"),
+        ({"batch_size": [1.5]}, "batch_size is '1.5'; expected a whole number of at least 1"),
+        ({"normalise": [1]}, "normalise is '1'; expected True or False"),
+        ({"hidden": ["8,8"]}, "hidden is '8,8'; expected a tuple, each part a whole number"),
+        ({"log_std_range": [(1, 2, 3)]}, "log_std_range is '1x2x3'; expected 2 numbers"),
         ({"reward": ["gail"]}, r"^reward=gail: reward is 'gail'; expected one of"),
-        ({"generator": ["sac", "td3"]}, "^generator=td3: reward 'implementation-4' needs log π"),
+        ({"learner": ["sac", "td3"]}, "^learner=td3: reward 'implementation-4' needs log π"),
+        (
+            {"reward": ["dac"], "learner": ["td3"], "temperature": [0.1]},
+            "^reward=dac,learner=td3,temperature=0.1: temperature has no use with learner='td3'",
+        ),
+        ({"ablation": ["none"], "bottleneck": [0.1]}, "bottleneck has no use with learner='sac'"),
+        ({"discount": [2]}, r"^discount=2.0: discount is 2.0; expected a number in \[0, 1\]"),
         ({"temperature": [1, 1.0]}, "temperature=1.0 is in the grid twice"),
         ({"temperature": []}, "the grid is empty"),
         ({}, "the grid is empty"),

@@ -23,7 +23,7 @@ from pathlib import Path
 
 folder = Path(sys.argv[1])
 about = json.loads((folder / "config.json").read_text())
-value = about["config"]["temperature"]
+value = about["config"].get("temperature")
 if value == 0.4:
     sys.exit("too hot")
 seeds = about["seeds"]
@@ -296,7 +296,7 @@ def test_demonstrations_that_would_not_be_used_are_refused(options, message, off
 
 @pytest.mark.parametrize("axis", ["temperature", "=1", "temperature=0.1 --grid temperature=0.2"])
 def test_an_axis_has_a_form(axis, offairl):
-    with pytest.raises(ValueError, match=r"FIELD=VALUE,VALUE|no field ''"):
+    with pytest.raises(ValueError, match=r"SETTING=VALUE,VALUE|^no setting ''"):
         offairl(f"maze-expert --grid {axis} {SMALL}")
 
 
