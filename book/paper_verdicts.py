@@ -39,7 +39,7 @@ RUNAWAY = 1000  # a temperature that has lost its target
 def recorded(run: str, size: Scale) -> Run | None:
     """Return the record of a run at one scale; None where there is none."""
     folder = RECORDS / record(run, size)
-    if not (folder / "curve.csv").is_file():
+    if not any(folder.rglob("curve.csv")):  # Its seeds may be spread.
         return None
     found = records.read(folder)
     return found if len(found.steps) and whole(found).any() else None

@@ -23,11 +23,10 @@ def test_full_scale_is_the_paper_s_protocol(name):
         10,
     )
     assert (config.learner.hidden, config.learner.learning_rate) == ((400, 300), 1e-3)
-    assert (config.discriminator.reward_hidden, config.discriminator.shaping_hidden) == (
-        (100, 100),
-        (100, 100),
-    )
-    assert config.discriminator.activation == "tanh"
+    if config.learns_reward:
+        discriminator = config.discriminator
+        assert discriminator.reward_hidden == discriminator.shaping_hidden == (100, 100)
+        assert discriminator.activation == "tanh"
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -54,12 +53,13 @@ def test_experts_are_three_learners_on_the_eight_tasks_of_the_paper():
         task, _, learner = name.partition("-")
         assert run.env_id.split("/")[-1].startswith(f"{task}-v")
         expected = {
-            "td3": ("td3", 0.2),
+            "td3": ("td3", None),
             "sac-fixed": ("sac", 0.2),
             "sac-learned": ("sac", None),
         }
-        assert (run.generator, run.temperature) == expected[learner]
-        assert (run.reward, run.batch_size, run.total_steps) == ("environment", 100, 1_000_000)
+        assert (run.learner.kind, run.flat().get("temperature")) == expected[learner]
+        assert (run.reward, run.total_steps) == ("environment", 1_000_000)
+        assert run.schedule.batch_size == 100
     maze = differences(runs["PointMazeLeft-sac-learned"], find("maze-expert").configs["full"])
     assert maze == {}
 
@@ -97,13 +97,13 @@ def test_the_velocity_of_the_ant_s_torso_is_where_the_reward_looks_for_it():
 def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them():
     experiment = find("locomotion")
     between = {
-        "airl": set(),
-        "airl-mixture": {"replay_density"},
-        "airl-soft": {"replay_density", "temperature"},
-        "mcp-4": {"primitives"},
-        "mcp-8": {"primitives"},
-        "dac": {"reward"},
-        "dac-td3": {"reward", "generator"},
+        "airl": {},
+        "airl-mixture": {"loss": "mixture"},
+        "airl-soft": {"loss": "mixture", "temperature": 1.0},
+        "mcp-4": {"primitives": 4},
+        "mcp-8": {"primitives": 8},
+        "dac": {"reward": "dac"},
+        "dac-td3": {"reward": "dac", "learner": "td3"},
     }
     for scale, config in experiment.configs.items():
         tasks = set()
@@ -111,9 +111,10 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
             run = config.change(**changes)
             task, _, method = name.partition("-")
             airl = config.change(**experiment.variants[f"{task}-airl"])
-            assert set(differences(run, airl)) == between[method]
+            assert run == airl.change(**between[method])
             assert (run.reward == "dac") == method.startswith("dac")
-            assert (run.absorbing == "bootstrap") == (task in ("Hopper", "Walker2d", "Ant"))
+            falls = task in ("Hopper", "Walker2d", "Ant")
+            assert (run.schedule.absorbing == "bootstrap") == falls
             tasks.add(run.env_id)
         assert len(tasks) == 5
         assert len(experiment.variants) == len(tasks) * len(between)
@@ -122,7 +123,7 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them()
 
 def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
     experiment = find("what-decides")
-    varied = {"policy_in_logit", "replay_density", "reward", "temperature", "warmup_steps"}
+    varied = {"loss", "reward", "temperature", "warmup_steps"}
     assert len(experiment.variants) == 4 * 4 * 3 * 2
     for config in experiment.configs.values():
         for name, changes in experiment.variants.items():
@@ -130,15 +131,11 @@ def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
             run = config.change(**changes)
             recipe = config.change(**experiment.variants[f"{robot}-released-fixed-short"])
             assert set(differences(run, recipe)) <= varied
-            assert run.temperature == {"fixed": 0.2, "learned": None, "one": 1.0}[temperature]
-            assert run.warmup_steps == {"short": 1_000, "long": 10_000}[warmup]
+            alpha = {"fixed": 0.2, "learned": None, "one": 1.0}[temperature]
+            assert run.learner.temperature == alpha
+            assert run.schedule.warmup_steps == {"short": 1_000, "long": 10_000}[warmup]
             assert (run.reward == "dac") == (loss == "dac")
-            assert (run.policy_in_logit, run.replay_density) == {
-                "exact": (True, "policy"),
-                "mixture": (True, "mixture"),
-                "released": (False, "policy"),
-                "dac": (True, "policy"),
-            }[loss]
+            assert run.discriminator.loss == ("exact" if loss == "dac" else loss)
 
 
 def test_the_recipe_is_what_decided():
@@ -148,7 +145,7 @@ def test_the_recipe_is_what_decided():
         schedule = {"total_steps", "eval_every", "eval_episodes"}
         assert set(differences(short, long)) == schedule
         dac = configure(f"recipe/{robot}-dac", "demo")
-        assert set(differences(long, dac)) == {"policy_in_logit", "reward"}
+        assert set(differences(long, dac)) == {"loss", "reward"}
 
 
 @pytest.mark.parametrize("name", ["maze-retraining", "ant-transfer"])
@@ -158,15 +155,15 @@ def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions_unless_helpe
         runs = {v: config.change(**changes) for v, changes in experiment.variants.items()}
         assert {run.reward for run in runs.values()} == {"frozen"}
         for variant, run in runs.items():
-            assert (run.carry == "nothing") == variant.startswith("scratch")
-            assert (run.primitives is None) == variant.startswith(("scratch", "policy"))
-            assert run.fixed_primitives == ("-gate" in variant)
-            assert (run.start_steps > 0) == variant.endswith("-starts")
-            if run.carry == "nothing" or variant.endswith("-helped"):
-                assert run.warmup_steps == config.schedule.warmup_steps
-                assert run.warmup_hold == config.schedule.warmup_hold
+            assert (run.pretrained == "nothing") == variant.startswith("scratch")
+            assert (run.learner.primitives is None) == variant.startswith(("scratch", "policy"))
+            assert run.learner.fixed_primitives == ("-gate" in variant)
+            assert (run.schedule.start_steps > 0) == variant.endswith("-starts")
+            warmup = run.schedule.warmup_steps, run.schedule.warmup_hold
+            if run.pretrained == "nothing" or variant.endswith("-helped"):
+                assert warmup == (config.schedule.warmup_steps, config.schedule.warmup_hold)
             else:
-                assert (run.warmup_steps, run.warmup_hold) == (steps, 1), scale
+                assert warmup == (steps, 1), scale
 
 
 def test_the_ants_that_are_carried_over_are_of_the_form_that_is_learned():
@@ -200,20 +197,19 @@ def test_entropy_is_counted_once_in_two_ways():
             )
             for form in ("", "-cold", "-soft", "-learned")
         )
-        assert cold.log_prob_in_reward
-        assert cold.temperature < 0.01
+        assert cold.discriminator.log_prob_in_reward
+        assert cold.learner.temperature < 0.01
         assert set(differences(twice, cold)) == {"temperature", "target_entropy"}
-        assert not soft.log_prob_in_reward
-        assert soft.temperature == 1
+        assert not soft.discriminator.log_prob_in_reward
+        assert soft.learner.temperature == 1
         assert set(differences(cold, soft)) == {"temperature", "log_prob_in_reward"}
         assert set(differences(twice, learned)) == {"log_prob_in_reward"}
-        assert learned.temperature is None
+        assert learned.learner.temperature is None
 
 
 def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else():
     experiment = find("maze-penalties")
-    bounds = {"gradient_penalty", "penalty_on", "penalty_sides", "spectral_norm"}
-    bounds |= {"bottleneck", "bottleneck_rate"}
+    bounds = {"gradient_penalty", "ablation", "bottleneck", "bottleneck_size", "bottleneck_rate"}
     imitation = find("maze-imitation").configs
     for scale, config in experiment.configs.items():
         assert differences(config, imitation[scale]) == {}
@@ -260,9 +256,10 @@ def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
         assert set(differences(runs[begin], runs[f"back-{begin}"])) == {"env_id"}
         true = runs[f"true-{begin}"]
         assert set(differences(runs[begin], true)) == {"reward", "reward_scale"}
-        assert (true.reward, true.reward_scale) == ("environment", expert.reward_scale)
-        assert (true.carry == "policy") == begin.startswith("policy")
-        assert (true.warmup_hold > 1) != begin.endswith("alone")
+        assert true.reward == "environment"
+        assert true.learner.reward_scale == expert.learner.reward_scale
+        assert (true.pretrained == "policy") == begin.startswith("policy")
+        assert (true.schedule.warmup_hold > 1) != begin.endswith("alone")
 
 
 def test_the_marsh_is_learned_from_one_start_and_tried_from_another():
@@ -285,7 +282,7 @@ def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_no
     experiment = find("hopper-absorbing")
     for scale, config in experiment.configs.items():
         runs = [config.change(**changes) for changes in experiment.variants.values()]
-        assert {(run.reward, run.absorbing) for run in runs} == {
+        assert {(run.reward, run.schedule.absorbing) for run in runs} == {
             (reward, absorbing)
             for reward in ("dac", "implementation-4")
             for absorbing in ("none", "bootstrap", "analytic")

@@ -109,7 +109,7 @@ def restore(
     if about["ends"] != _ends(trainer.collector.replay):
         path = folder / SUBFOLDER / "replay.f32"
         raise ValueError(_damaged(folder, path, "it is not as it was at the checkpoint"))
-    trainer.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
+    trainer.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
     os.truncate(folder / "curve.csv", about["curve.csv"])
 
 

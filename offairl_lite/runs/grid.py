@@ -20,7 +20,7 @@ from offairl_lite.config import (
     flat_settings,
     used_settings,
 )
-from offairl_lite.config.settings import kinds, wanted
+from offairl_lite.config.settings import kinds, settings, wanted
 
 HELP = {
     "reward": "What the learner maximises: a variant of the paper's reward, DAC's, GAIL's of "
@@ -61,7 +61,8 @@ def docstrings() -> dict[str, str]:
         for kind in kinds(base).values():
             for parent in kind.__mro__:
                 for name, text in _docstrings_of(parent):
-                    texts.setdefault(kind.renamed.get(name, name), text)
+                    if name in settings(kind):
+                        texts.setdefault(kind.renamed.get(name, name), text)
     return texts
 
 

@@ -225,11 +225,15 @@ def test_the_cores_are_given_back():
     assert os.sched_getaffinity(0) == before
 
 
+LAYERS = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
+PRIMITIVES = {"primitives": 2, **LAYERS}
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"reward": "implementation-2"},
-        {"reward": "frozen", "pretrained": "primitives", "primitives": 2, "start_steps": 20},
+        {"reward": "frozen", "pretrained": "primitives", "start_steps": 20, **PRIMITIVES},
         {"reward": "frozen", "env_id": "Hopper-v5", "absorbing": "bootstrap"},
         {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},

@@ -317,7 +317,7 @@ def test_every_setting_is_an_option_with_its_default_and_what_it_is_for(capsys):
     texts = docstrings()
     assert set(texts) == set(flat_settings())
     for name in flat_settings():
-        option = text.split(f" --{name.replace('_', '-')}", 1)[1]
+        option = re.split(rf" --{name.replace('_', '-')}[ ,]", text, maxsplit=1)[1]
         assert texts[name][:40] in option[:300], name
     assert "--temperature {None}|FLOAT α. None: learned from 0.2 on" in text
     assert "(default: 64 64)" in text.split("--hidden [INT [INT ...]]", 1)[1][:90]

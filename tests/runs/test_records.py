@@ -77,9 +77,9 @@ def test_a_record_comes_back_as_it_was(record, tiny):
     assert run.returns.tolist() == [[math.e, math.e]] * 2
 
 
-@pytest.mark.parametrize("bottleneck", [None, 0.5])
-def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, bottleneck):
-    config = tiny.change(bottleneck=bottleneck)
+@pytest.mark.parametrize("ablation", [None, "bottleneck"])
+def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, ablation):
+    config = tiny.change(ablation=ablation)
     run = train(config, SEEDS, random_demonstrations(tiny.env_id), progress=False)
     assert set(run.rows[0].metrics) <= set(METRICS)
 
