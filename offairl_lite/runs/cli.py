@@ -1,5 +1,6 @@
 """The command line, `offairl`: one function for each of its commands."""
 
+import inspect
 import shutil
 import sys
 import textwrap
@@ -214,7 +215,10 @@ def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Off-policy adversarial inverse reinforcement learning, from the command line."""
+    """Off-policy adversarial inverse reinforcement learning, from the command line.
+
+    What to run for a robot of your own is on the page "The recipe" of the book, book/recipe.md.
+    """
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
     sys.path.append(str(Path.cwd()))
     # `--scale=full` is `--scale full`, also where it is looked for below.
@@ -242,7 +246,7 @@ def main(args: Sequence[str] | None = None) -> None:
         }
         with jobs.terminable():
             tyro.extras.subcommand_cli_from_dict(
-                commands, prog="offairl", description=main.__doc__, args=args
+                commands, prog="offairl", description=inspect.getdoc(main), args=args
             )
     except (ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error) as error:
         sys.exit(f"offairl: {error}")

@@ -1,0 +1,259 @@
+"""The recipe: its commands can be given, its Python runs, and its numbers are the records'."""
+
+import ast
+import inspect
+import re
+import shlex
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from offairl_lite import demonstrations
+from offairl_lite.config import flat_settings
+from offairl_lite.experiments import EXPERIMENTS
+from offairl_lite.runs import bench, cli, launch, records
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "book/recipe.md").read_text()
+RECORDS = ROOT / "book/records"
+COMMANDS = {
+    "list": cli.list_experiments,
+    "resume": launch.resume,
+    "demos": cli.demos,
+    "watch": cli.watch,
+    "tensorboard": cli.tensorboard,
+    "verify": cli.verify,
+}
+SETTINGS = {*flat_settings(), "learner", "ablation"}
+GIVEN = {field.name for field in fields(launch.Given)}
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def commands():
+    """Every `offairl` command of the page, in a block or in a line."""
+    lines = "\n".join(blocks("bash")).replace("\\\n", " ").splitlines()
+    inline = re.findall(r"`(offairl [^`]+)`", re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL))
+    return [line for line in lines if line.startswith("offairl ")] + inline
+
+
+def parsed(command):
+    """Its name, the arguments without an option, and the options with the texts of their values."""
+    _, name, *rest = shlex.split(command)
+    free, options, last = [], {}, None
+    for part in rest:
+        if part.startswith("--"):
+            last = part[2:].replace("-", "_")
+            assert last not in options, f"{part} is given twice"
+            options[last] = []
+        else:
+            (free if last is None else options[last]).append(part)
+    return name, free, options
+
+
+def value(texts):
+    """What the texts after an option stand for."""
+
+    def one(text):
+        try:
+            return ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            return text
+
+    return tuple(map(one, texts)) if len(texts) > 1 else one(texts[0]) if texts else True
+
+
+def configuration(experiment, settings):
+    """What a run would be configured as. Raises what the command would."""
+    values = {name: value(texts) for name, texts in settings.items()}
+    if isinstance(values.get("reward_sees"), int):
+        values["reward_sees"] = (values["reward_sees"],)
+    return EXPERIMENTS[experiment].configs["demo"].change(**values)
+
+
+def require_command(command):
+    name, free, options = parsed(command)
+    if name == "bench":
+        known = {"json", *(field.name for field in fields(bench.Options))}
+        assert options.keys() <= known, command
+    elif name != "run":
+        parameters = inspect.signature(COMMANDS[name]).parameters
+        assert options.keys() <= parameters.keys(), command
+        assert len(free) <= 1, command
+    else:
+        (experiment,) = free
+        own = inspect.signature(launch.run_command("imitate", "demo")).parameters
+        about_run = own.keys() - {"given", "config", "experiment"}
+        unknown = options.keys() - about_run - GIVEN - SETTINGS
+        assert not unknown, f"{command}: no option {unknown}"
+        assert options.get("scale", ["demo"])[0] in ("demo", "full"), command
+        assert set(options.get("only", ())) <= set(EXPERIMENTS[experiment].variants), command
+        config = configuration(experiment, {k: v for k, v in options.items() if k in SETTINGS})
+        assert ("frozen_reward" in options) == (config.reward == "frozen"), command
+        assert ("pretrained_policy" in options) == (config.pretrained != "nothing"), command
+        assert ("guide" in options) == (config.schedule.start_steps > 0), command
+        for about in ("dataset", "trajectories", "subsample"):
+            assert about not in options or config.learns_reward, command
+
+
+@pytest.mark.parametrize("command", [c for c in commands() if c != "offairl demos"])
+def test_commands_and_their_settings_exist(command):
+    require_command(command)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "offairl run imitates",
+        "offairl run imitate --replay-density mixture",
+        "offairl run imitate --loss exactly",
+        "offairl run imitate --reward frozen",
+        "offairl run imitate --learner td3",
+        "offairl run imitate --reward-sees 3 --absorbing bootstrap",
+        "offairl watch runs/arm --members 0",
+        "offairl train imitate",
+    ],
+)
+def test_what_cannot_be_given_is_found(wrong):
+    with pytest.raises((AssertionError, KeyError, ValueError)):
+        require_command(wrong)
+
+
+def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
+    inline = re.findall(r"`(--[^`]+)`", PAGE)
+    assert len(inline) > 10
+    first = commands()[0]
+    for options in inline:
+        added = parsed(f"offairl run {options}")[2]
+        known = SETTINGS | GIVEN | {"scale"}
+        assert added.keys() <= known, options
+        if all(added.values()) and added.keys() <= SETTINGS - {"pretrained"}:
+            _, (experiment,), there = parsed(first)
+            before = {name: texts for name, texts in there.items() if name in SETTINGS}
+            configuration(experiment, before | added)
+
+
+def test_the_table_of_settings_is_what_the_experiment_has():
+    """As defaults at both scales, but for the last two rows, which are to be given."""
+    section = PAGE.split("## The settings, and why")[1].split("\n## ")[0]
+    rows = re.findall(r"(?m)^\| `(--[^`]+)` \|", section)
+    for row in rows[:-2]:
+        ((name, texts),) = parsed(f"offairl run {row}")[2].items()
+        for config in EXPERIMENTS["imitate"].configs.values():
+            assert config.flat()[name] == value(texts), row
+
+
+def test_recordings_become_a_data_set(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    monkeypatch.chdir(tmp_path)
+    for i in range(20):
+        np.savez(f"episode-{i}.npz", obs=np.tile([-1.0, 0, 0], (6, 1)), action=np.zeros((5, 1)))
+    (block,) = [block for block in blocks("python") if "Recording" in block]
+    exec(block.replace("my_robot:Arm-v0", "Pendulum-v1"), {})
+    data = demonstrations.load("Pendulum-v1", 20, "own/recorded-v0")
+    assert data.lengths == (5,) * 20
+
+
+def test_the_diagnostics_can_be_read(capsys):
+    (block,) = [block for block in blocks("python") if "metrics" in block]
+    run = RECORDS / "hopper-absorbing-demo/dac-bootstrap"
+    exec(block.replace("runs/arm", str(run)), {})
+    assert capsys.readouterr().out.count("\n") >= len(records.read(run).seeds) + 1
+
+
+def late(name):
+    """The evaluations in the second half of a recorded run."""
+    run = records.read(RECORDS / name)
+    return [row for row in run.rows if row.step > run.steps[-1] / 2]
+
+
+def gaps(rows):
+    return np.array([row.metrics["expert_logit"] - row.metrics["policy_logit"] for row in rows])
+
+
+RECIPE = {
+    robot: f"what-decides-demo/{robot}-released-fixed-short" for robot in ("Hopper", "Walker2d")
+}
+FAILED = "locomotion-demo/HalfCheetah-airl"
+
+
+def test_the_ranges_are_those_of_the_records():
+    def span(values, digits):
+        return f"{min(values):,.{digits}f}–{max(values):,.{digits}f}"
+
+    names = [*RECIPE.values(), FAILED]
+    for metric, digits in (("accuracy", (2, 2, 2)), ("critic_loss", (0, 0, 0))):
+        cells = [
+            span([row.metrics[metric] for row in late(name)], d)
+            for name, d in zip(names, digits, strict=True)
+        ]
+        assert f"| `{metric}` | {' | '.join(cells)} |" in PAGE
+    cells = [span(gaps(late(n)), d) for n, d in zip(names, (1, 1, 0), strict=True)]
+    assert f"| logit gap, expert minus policy | {' | '.join(cells)} |" in PAGE
+    entropy = [[row.metrics["entropy"] for row in late(name)] for name in names]
+    cells = [span(values, 2) for values in entropy[:2]]
+    assert f"| `entropy` of the verdict | {' | '.join(cells)} | below 0.03 |" in PAGE
+    assert max(entropy[2]) < 0.03
+    penalty = [max(row.metrics["penalty"] for row in late(name)) for name in names]
+    assert max(penalty[:2]) < 0.005
+    assert round(penalty[2], 2) == 0.04
+
+
+def test_the_gap_falls_as_the_return_rises():
+    for (_, name), said in zip(RECIPE.items(), (-0.6, -0.8), strict=True):
+        rows = records.read(RECORDS / name).rows
+        found = spearmanr(gaps(rows), [row.mean_return for row in rows])[0]
+        assert round(found, 1) == said
+
+
+def test_both_robots_are_learned_and_dac_is_behind_on_one():
+    for robot, name in RECIPE.items():
+        noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
+        end = records.read(RECORDS / name).returns[:, -1]
+        assert len(end) == 5
+        assert (end > 0.45 * noted["demonstrated"][0]).all()
+    dac = records.read(RECORDS / "what-decides-demo/Walker2d-dac-fixed-short")
+    assert ((dac.returns[:, -1] > 1_000) & (dac.returns[:, -1] < 1_200)).sum() == 4
+    assert (records.read(RECORDS / RECIPE["Walker2d"]).returns[:, -1] > 2_000).all()
+
+
+def wall(name):
+    return records.read_json(RECORDS / name / "run.json")["wall_s"]
+
+
+def test_the_hours_are_those_of_the_records():
+    recipe = [wall(name) / 3600 for name in RECIPE.values()]
+    assert {f"{hours:.2f}" for hours in recipe} == {"0.24"}
+    assert f"{5 * max(recipe):.1f}" == "1.2"
+    large = [wall(f"locomotion-full/Hopper-{kind}") / 3600 for kind in ("airl", "airl-soft", "dac")]
+    assert f"{min(large):.1f}–{max(large):.1f}" == "1.0–1.3"
+    times = 10 * 1_000_000 / (3 * 200_000)
+    assert f"{min(large) * times:.0f}–{max(large) * times:.0f}" == "17–22"
+    for row in ("0.24", "1.2", "1.0–1.3", "17–22"):
+        assert f" | {row} | " in PAGE
+    ratios = [wall(n.replace("released", "dac")) / wall(n) for n in RECIPE.values()]
+    assert 0.45 < min(ratios) < max(ratios) < 0.75
+
+
+def test_what_transfers():
+    """The rest of what is said of the maze is asserted in chapter 9."""
+    maze = records.read(RECORDS / "maze-retraining-full/scratch").returns[:, -1]
+    assert len(maze) == 10
+    assert (maze > -14).all()
+    arms = [
+        f"{actor}{order}" for actor in ("scratch", "policy") for order in ("", "-released-order")
+    ]
+    arms += ["policy-own-starts", "policy-expert-starts", "4-gate", "4-both", "8-gate", "8-both"]
+    ants = RECORDS / "ant-transfer-demo"
+    ends = {
+        reward: np.concatenate([records.read(ants / reward / arm).returns[:, -1] for arm in arms])
+        for reward in (".", "state-centred", "velocity-centred")
+    }
+    whole = np.concatenate([ends["."], ends["state-centred"]])
+    assert (len(whole), (whole > 150).sum()) == (60, 4)
+    assert (ends["velocity-centred"] > 150).sum() >= 27
