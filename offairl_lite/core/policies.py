@@ -20,7 +20,7 @@ from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, sav
 from offairl_lite.core.rng import Streams
 
 MAX_ACTION = 1 - 1e-6
-"""Where `unsquash` clamps: an action this close to ±1 counts as this action."""
+"""Where `unsquash` clamps: an action closer to ±1 counts as this one."""
 
 
 def unsquash(action: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
@@ -288,10 +288,10 @@ Actor = SquashedGaussian | Deterministic
 
 def _actors(base: type = object) -> dict[str, type[Actor]]:
     """Return the types of actors by their names, those of ablations included."""
-    found = {}
-    for kind in (SquashedGaussian, Deterministic) if base is object else base.__subclasses__():
-        found |= {kind.__name__: kind, **_actors(kind)}
-    return found
+    kinds = (SquashedGaussian, Deterministic) if base is object else base.__subclasses__()
+    return {
+        name: k for kind in kinds for name, k in [(kind.__name__, kind), *_actors(kind).items()]
+    }
 
 
 @singledispatch
@@ -302,18 +302,12 @@ def make_actor(config: SACConfig, obs_dim: int, action_dim: int) -> Actor:
 
 @make_actor.register
 def _(config: SACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    dims = obs_dim, action_dim
+    dims, spread = (obs_dim, action_dim), config.log_std_range
     if config.primitives is None:
-        return SquashedGaussian(*dims, config.hidden, config.log_std_range)
-    return MultiplicativeGaussian(
-        *dims,
-        config.trunk_hidden,
-        config.log_std_range,
-        config.primitives,
-        config.primitive_hidden,
-        config.gate_hidden,
-        config.gating,
-    )
+        return SquashedGaussian(*dims, config.hidden, spread)
+    hidden = config.primitive_hidden, config.gate_hidden
+    of_mcp = config.primitives, *hidden, config.gating
+    return MultiplicativeGaussian(*dims, config.trunk_hidden, spread, *of_mcp)
 
 
 @make_actor.register

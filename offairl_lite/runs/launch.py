@@ -126,8 +126,7 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
     ) -> None:
         """Run an experiment, in one configuration or in many, and record it; or go on with it.
 
-        Each run is recorded in a folder of its own, from which it can be resumed. The same command
-        again goes on with what is there.
+        Each run has a folder of its own. The same command again goes on with what is there.
 
         Args:
             experiment: its name; the defaults below are this experiment's at this scale.
@@ -142,8 +141,7 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
             processes: how many at a time; by default one on each core for several runs, and for
                 one run of large networks, whose seeds are then spread over them.
             engine: processes on this machine, or on a Ray cluster.
-            address: the address of the Ray cluster, auto on one of its nodes; by default a local
-                one.
+            address: of the Ray cluster, auto on one of its nodes; by default a local one.
             given: what the runs are given beside their configuration.
             schedule: when things happen, and on what, in all runs.
             learner: what trains the policy.
@@ -168,21 +166,29 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
                 f"{experiment} is paid by the reward of another run: first `offairl run {source}`, "
                 f"then add --frozen-reward runs/{source}-{scale}"
             )
-        # Cores that runs leave idle train seeds of large networks, or as many as are asked for.
-        idle = processes or (1 if prepare or engine == "ray" else jobs.cores())
-        each = idle // len(points) if given.device == "cpu" else 1
-        alone = processes is not None and len(points) == 1
-        spread = {
-            name: each if alone or is_large(point.learner) else 1 for name, point in points.items()
-        }
+        here = 1 if prepare or engine == "ray" else jobs.cores()
+        folders = _folders_of_each(points, processes, here if given.device == "cpu" else None)
         about = {"experiment": experiment, "scale": scale}
-        data = _create(place, points, seeds, spread, given, about)
+        data = _create(place, points, seeds, folders, given, about)
         if not prepare:
+            how = {"engine": engine, "workers": processes, "address": address}
             gpus = float(given.device != "cpu")
-            how = {"engine": engine, "workers": processes, "address": address, "gpus": gpus}
-            _finish(place, points, data, **how, command=command)
+            _finish(place, points, data, **how, gpus=gpus, command=command)
 
     return run
+
+
+def _folders_of_each(
+    points: Mapping[str, Config], processes: int | None, cores: int | None
+) -> dict[str, int]:
+    """Return over how many run folders the seeds of each run are spread.
+
+    Cores that runs leave idle train seeds of large networks, or as many as are asked for. None for
+    `cores`: a GPU, which has all seeds in one population.
+    """
+    each = 1 if cores is None else (processes or cores) // len(points)
+    alone = processes is not None and len(points) == 1
+    return {n: each if alone or is_large(point.learner) else 1 for n, point in points.items()}
 
 
 def _points(

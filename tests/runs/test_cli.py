@@ -280,7 +280,7 @@ def test_mistakes_are_answered_in_one_line(
         ),
         ("--reward environment --loss exact", "loss has no use with learner='sac', reward='env"),
         ("--bottleneck 0.1", "--bottleneck 0.1: bottleneck has no use with learner='sac', rew"),
-        ("--reward environment --ablation one-sided", "ablation='one-sided' is of a discriminator"),
+        ("--reward environment --ablation one-sided", "ablation='one-sided' is a discriminator's"),
         ("--grid discount=2", "discount=2.0: discount is 2.0; expected a number in [0, 1]"),
     ],
 )
