@@ -9,7 +9,7 @@ from offairl_lite.scale import Scale
 
 __all__ = ["EXPERIMENTS", "SEEDS", "Experiment", "configure", "find"]
 
-EXPERIMENTS: Mapping[str, Experiment] = {**mazes.EXPERIMENTS, **robots.EXPERIMENTS}
+EXPERIMENTS: Mapping[str, Experiment] = {**robots.EXPERIMENTS, **mazes.EXPERIMENTS}
 
 
 def find(name: str) -> Experiment:
