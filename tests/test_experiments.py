@@ -274,9 +274,7 @@ def test_the_marsh_is_learned_from_one_start_and_tried_from_another():
 
 
 def test_an_unknown_experiment_lists_those_there_are():
-    with pytest.raises(
-        ValueError, match="no experiment 'maze'; there are: experts, hopper-gail"
-    ):
+    with pytest.raises(ValueError, match="no experiment 'maze'; there are: experts, hopper-gail"):
         find("maze")
 
 

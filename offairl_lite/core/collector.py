@@ -78,7 +78,7 @@ def _say_that_ends_matter(env_id: str) -> None:
     log.warning(
         "An episode of %s has terminated, and absorbing is 'none': the constant of the learned "
         "reward, which nobody chose, then decides between a long life and a short one. Set "
-        "absorbing='bootstrap', and temperature=1 for Implementations 3 and 4 (chapter 7).",
+        "absorbing='bootstrap' (chapter 7).",
         env_id,
     )
 
