@@ -20,7 +20,7 @@ from offairl_lite.config import CORRECTED
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian, unsquash
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 
 
@@ -162,7 +162,7 @@ def shipped_experts(tmp_path, monkeypatch):
     """Two random policies of the maze, in the place of the shipped experts."""
     actor = SquashedGaussian(3, 2, (8,))
     policy = Policy(
-        "offairl/PointMazeLeft-v0", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3)
+        "offairl/PointMazeLeft-v0", actor, actor.init(Rng((0, 1))), Normaliser.identity(2, 3)
     )
     policy.save(tmp_path / "experts" / "PointMazeLeft.safetensors")
     monkeypatch.setattr(module, "EXPERTS", tmp_path / "experts")

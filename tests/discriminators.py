@@ -10,7 +10,7 @@ from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 OBS, ACT, B, HORIZON = 3, 2, 4, 2
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
@@ -44,10 +44,10 @@ AIRL = [name for name in CONFIGS if "r(s" in name]
 
 def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
     """A discriminator with a random normaliser; double precision, unless it is to be trained."""
-    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
+    normaliser = Normaliser(Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS))
     horizon = HORIZON if config.reward == "gan-gcl" else 1
     made = make_discriminator(
-        config.discriminator, OBS, ACT, Streams(seeds), normaliser, horizon, config.env_id
+        config.discriminator, OBS, ACT, Rng(seeds), normaliser, horizon, config.env_id
     )
     if learning_rate is not None:
         made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate
@@ -66,9 +66,9 @@ def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
 
 def data(seeds=(0, 1), batch=B, dtype=torch.float64, pre_tanh=None):
     """Expert and policy transitions, log π of both, and the penalty's coefficients."""
-    streams = Streams([100 + seed for seed in seeds])
+    streams = Rng([100 + seed for seed in seeds])
     actor = SquashedGaussian(OBS, ACT, (5,), (-1.0, 1.0))
-    params = actor.init(Streams(seeds)).to(dtype)
+    params = actor.init(Rng(seeds)).to(dtype)
     sides, log_probs = [], []
     for _ in range(2):
         obs, noise, next_obs = (streams.normal(batch, n).to(dtype) for n in (OBS, ACT, OBS))

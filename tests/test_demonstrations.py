@@ -20,7 +20,7 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import Demonstrations, load, short_name
 from offairl_lite.envs.models import GOAL
@@ -33,7 +33,7 @@ MAZE = "offairl/PointMazeLeft-v0"
 def arm_policy():
     """Two random policies of the arm."""
     actor = SquashedGaussian(2, 2, (8,))
-    return Policy("ownbot/Arm-v0", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 2))
+    return Policy("ownbot/Arm-v0", actor, actor.init(Rng((0, 1))), Normaliser.identity(2, 2))
 
 
 def test_a_data_set_of_one_s_own_is_loaded_with_its_actions_rescaled(write_dataset):

@@ -13,7 +13,7 @@ from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import Discriminator as CoreDiscriminator
 from offairl_lite.core.networks import Normaliser as CoreNormaliser
 from offairl_lite.core.replay import Batch as CoreBatch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import ACTOR_DELAY
 from offairl_lite.core.sac import SAC as CoreSAC
 
@@ -282,7 +282,7 @@ CORE_CONFIG = CORRECTED.change(hidden=(64, 64), reward_hidden=(64, 64), shaping_
 
 def core_learners():
     """Return SAC and a discriminator of one member, whose observations are scaled already."""
-    streams, scale = Streams([0]), CoreNormaliser.identity(1, OBS)
+    streams, scale = Rng([0]), CoreNormaliser.identity(1, OBS)
     sac = CoreSAC(CORE_CONFIG.learner, OBS, ACT, streams, scale)
     return sac, CoreDiscriminator(CORE_CONFIG.discriminator, OBS, ACT, streams, scale)
 

@@ -21,7 +21,7 @@ from offairl_lite.core.discriminator import (
     make_discriminator,
 )
 from offairl_lite.core.networks import TINY, StackedMLP
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 
 def expected_cross_entropy(
@@ -87,9 +87,9 @@ class Code:
         """From z to the scalar."""
         return StackedMLP((self.code, 1))
 
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
         """Draw the weights of encoder and head."""
-        return torch.cat([self.encoder.init(streams), self.head.init(streams)], 1)
+        return torch.cat([self.encoder.init(rng), self.head.init(rng)], 1)
 
     def at_mean(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S Q"]:
         """Return the weights of `net`: the head's and those of μ are one linear layer."""
@@ -146,7 +146,7 @@ class Bottleneck(Discriminator):
     `multiplier`, β, is the price of a nat, raised by dual ascent while there are too many.
     """
 
-    def init(self, rng: Streams) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
         """Draw the initial weights of encoders and heads."""
         size, activation = self.config.bottleneck_size, self.reward_net.activation
         nets = self.reward_net, self.value_net

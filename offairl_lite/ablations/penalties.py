@@ -12,7 +12,7 @@ from offairl_lite.config import DiscriminatorConfig
 from offairl_lite.core.discriminator import Discriminator, Transitions, make_discriminator
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rewards import log_odds
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class OnProbability(Discriminator):
         return (square + TINY).sqrt()
 
 
-def init_vectors(net: StackedMLP, rng: Streams) -> Float[Tensor, "S V"]:
+def init_vectors(net: StackedMLP, rng: Rng) -> Float[Tensor, "S V"]:
     """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
     return _unit(rng.normal(sum(net.sizes[1:])).split(net.sizes[1:], 1))
 
@@ -130,7 +130,7 @@ class SpectralNorm(Discriminator):
     The slopes of both are then at most 1.
     """
 
-    def init(self, rng: Streams) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
         """Draw the initial weights, and vectors for the power iteration."""
         params = super().init(rng)
         self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]

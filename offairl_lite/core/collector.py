@@ -15,7 +15,7 @@ from offairl_lite.config import Config, PPOConfig
 from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +100,7 @@ class Collector:
         config: Config,
         env: VectorEnv,
         replay: Replay,
-        rng: Streams,
+        rng: Rng,
         members: Members,
         guide: Policy | None = None,
     ) -> None:

@@ -21,7 +21,7 @@ from offairl_lite.config import DiscriminatorConfig
 from offairl_lite.core.networks import TINY, Adam, Normaliser, StackedMLP, descend, optimizer_states
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 LEARNING_RATE = 1e-3
 """Adam's, for r and V (Arnob 2020, section 5)."""
@@ -110,7 +110,7 @@ class Discriminator:
         config: DiscriminatorConfig,
         obs_dim: int,
         action_dim: int,
-        rng: Streams,
+        rng: Rng,
         normaliser: Normaliser,
         horizon: int = 1,
         env_id: str = "",
@@ -134,7 +134,7 @@ class Discriminator:
             seen = [*config.reward_sees, *range(obs_dim, inputs)]
             self.mask = self.reward_net.mask(seen).to(rng.device)
 
-    def init(self, rng: Streams) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
         """Draw the initial weights of r and V."""
         return self.reward_net.init(rng), self.value_net.init(rng)
 

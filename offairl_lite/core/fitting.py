@@ -13,7 +13,7 @@ from torch import Tensor
 from offairl_lite.core.models import Models, OfBatch
 from offairl_lite.core.ppo import EPOCHS
 from offairl_lite.core.replay import Batch, Replay, choose
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import ACTOR_DELAY
 
 CHUNK = 50
@@ -26,7 +26,7 @@ def fit_discriminator(
     models: Models,
     demonstrations: Batch,
     replay: Replay,
-    rng: Streams,
+    rng: Rng,
     updates: int,
     batch_size: int,
     log_density: OfBatch,
@@ -53,7 +53,7 @@ def fit_discriminator(
 def fit_learner(
     models: Models,
     replay: Replay,
-    rng: Streams,
+    rng: Rng,
     updates: int,
     batch_size: int,
     reward: OfBatch,
@@ -79,7 +79,7 @@ def fit_learner(
 
 
 def fit_on_policy(
-    models: Models, block: Batch, rng: Streams, batch_size: int, reward: OfBatch
+    models: Models, block: Batch, rng: Rng, batch_size: int, reward: OfBatch
 ) -> Metrics:
     """Train PPO on the steps, in order, that the present policy has just taken."""
     rollout = models.learner.rollout(block, reward(block))

@@ -33,7 +33,7 @@ from offairl_lite.core.replay import Batch, Replay
 from offairl_lite.core.requirements import episode_length, require_fit, require_inputs
 from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 
 
@@ -73,7 +73,7 @@ class Trainer:
         self.config, self.schedule, self.seeds = config, config.schedule, seeds
         self.execution, self.device = execution, torch.device(execution.device)
         torch.set_num_threads(execution.threads)
-        self.rng, self.members = Streams(seeds, self.device), Members(seeds)
+        self.rng, self.members = Rng(seeds, self.device), Members(seeds)
         env = envs.make(config.env_id, len(seeds), seeds, num_threads=execution.threads)
         self.dims = require_fit(config, env, frozen_reward, pretrained_policy, guide)
         self.horizon = episode_length(config, demonstrations)

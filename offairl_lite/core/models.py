@@ -16,7 +16,7 @@ from offairl_lite.core.policies import Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
@@ -71,7 +71,7 @@ class Models:
         self,
         config: Config,
         dims: tuple[int, int],
-        rng: Streams,
+        rng: Rng,
         normaliser: Normaliser,
         execution: Execution,
         horizon: int = 1,

@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 TINY = 1e-12
 """What keeps roots and quotients of lengths finite at 0."""
@@ -85,13 +85,13 @@ class StackedMLP:
         """P: weights and biases of one member."""
         return sum((i + 1) * o for i, o in pairwise(self.sizes))
 
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
         """Draw Glorot-uniform weights and zero biases (Glorot and Bengio, 2010)."""
         parts = []
         for i, o in pairwise(self.sizes):
             parts += [
-                torch.zeros(len(streams), o, device=streams.device),
-                (2 * streams.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5,
+                torch.zeros(len(rng), o, device=rng.device),
+                (2 * rng.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5,
             ]
         return torch.cat(parts, 1)
 
@@ -176,9 +176,9 @@ class TwinCritic:
         """The network, with one output."""
         return StackedMLP((self.obs_dim + self.action_dim, *self.hidden, 1))
 
-    def init(self, streams: Streams) -> Float[Tensor, "2 S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "2 S P"]:
         """Draw the weights of both critics of a population."""
-        return torch.stack([self.net.init(streams), self.net.init(streams)])
+        return torch.stack([self.net.init(rng), self.net.init(rng)])
 
     def __call__(
         self,

@@ -17,7 +17,7 @@ from torch.nn.functional import softplus
 
 from offairl_lite.config import PPOConfig, SACConfig, TD3Config
 from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 MAX_ACTION = 1 - 1e-6
 """Where `unsquash` clamps: an action closer to ±1 counts as this one."""
@@ -79,9 +79,9 @@ class SquashedGaussian:
         """P."""
         return self.net.num_params
 
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
-        return self.net.init(streams)
+        return self.net.init(rng)
 
     def distribution(
         self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
@@ -191,10 +191,10 @@ class MultiplicativeGaussian(SquashedGaussian):
         primitives = self.primitives * self.primitive.num_params
         return self.trunk.num_params + primitives + self.gate.num_params
 
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
         nets = self.trunk, *[self.primitive] * self.primitives, self.gate
-        return torch.cat([net.init(streams) for net in nets], 1)
+        return torch.cat([net.init(rng) for net in nets], 1)
 
     def split(
         self, params: Float[Tensor, "S P"]
@@ -263,9 +263,9 @@ class Deterministic:
         """P."""
         return self.net.num_params
 
-    def init(self, streams: Streams) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
         """Draw the weights of a population."""
-        return self.net.init(streams)
+        return self.net.init(rng)
 
     def explore(
         self,

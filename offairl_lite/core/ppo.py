@@ -16,7 +16,7 @@ from offairl_lite.config import PPOConfig
 from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, optimizer_states
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 CLIP = 0.2
 """How far the ratio of new to old density may move before it stops to pay."""
@@ -115,7 +115,7 @@ class PPO:
         config: PPOConfig,
         obs_dim: int,
         action_dim: int,
-        rng: Streams,
+        rng: Rng,
         normaliser: Normaliser,
         absorbing: str = "none",
     ) -> None:

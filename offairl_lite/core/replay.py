@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 
 class Batch(NamedTuple):
@@ -51,12 +51,10 @@ def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
     return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
 
 
-def choose(
-    streams: Streams, rows: Sequence[int], count: int, horizon: int = 1
-) -> Int[Tensor, "S _"]:
+def choose(rng: Rng, rows: Sequence[int], count: int, horizon: int = 1) -> Int[Tensor, "S _"]:
     """Draw `count` of each member's `rows`: with a horizon, episodes of so many rows each."""
-    episode = streams.integers([n // horizon for n in rows], count // horizon)
-    steps = torch.arange(horizon, device=streams.device)
+    episode = rng.integers([n // horizon for n in rows], count // horizon)
+    steps = torch.arange(horizon, device=rng.device)
     return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
 
 
@@ -136,11 +134,11 @@ class Replay:
         rows = self.rows[slot, self._everyone.unsqueeze(1)]
         return unpack(rows.to(self.device), self.obs_dim)
 
-    def sample(self, streams: Streams, count: int, horizon: int = 1) -> Batch:
+    def sample(self, rng: Rng, count: int, horizon: int = 1) -> Batch:
         """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
 
         Args:
-            streams: for the choice.
+            rng: for the choice.
             count: how many, a multiple of `horizon`.
             horizon: how many in succession, see `choose`.
 
@@ -153,7 +151,7 @@ class Replay:
                 f"a member's replay is empty (sizes {sizes}) or has no whole episode: add to it"
             )
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
-        slot = (oldest + choose(streams, sizes, count, horizon).cpu()) % slots
+        slot = (oldest + choose(rng, sizes, count, horizon).cpu()) % slots
         # One gather for all members.
         index = slot * population + self._everyone.unsqueeze(1)
         rows = self.rows.view(-1, width).index_select(0, index.flatten())

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 
-class Streams:
+class Rng:
     """Generators of `S` members.
 
     What a member draws depends on its seed and on nothing else, so that seed 7 sees the same

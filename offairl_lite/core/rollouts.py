@@ -14,7 +14,7 @@ from torch import Tensor
 from offairl_lite import envs
 from offairl_lite.core.absorbing import fit
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 LONGEST = 20_000
 """Steps by which an episode must end where the task has no time limit."""
@@ -145,7 +145,7 @@ def rollout(
     action_dim = env.single_action_space.shape[0]
     device = policy.params.device
     # A stream for each episode: its noise is the same however many episodes there are.
-    streams = Streams(each, device)
+    rng = Rng(each, device)
     obs, _ = env.reset()
     running = np.ones(population * episodes, bool)
     ended = np.zeros_like(running)
@@ -162,7 +162,7 @@ def rollout(
                 )
             x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
             x = x.view(population, episodes, -1)
-            noise = streams.normal(action_dim).view(population, episodes, -1) if sample else None
+            noise = rng.normal(action_dim).view(population, episodes, -1) if sample else None
             action = policy.act(x, noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
             broken = running & ~(np.isfinite(next_obs).all(1) & np.isfinite(reward))

@@ -18,7 +18,7 @@ from offairl_lite.core.acceleration import is_large, piecewise
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 INITIAL_TEMPERATURE = 0.2
 """Where a learned α begins (released code)."""
@@ -86,7 +86,7 @@ class SAC:
         config: SACConfig,
         obs_dim: int,
         action_dim: int,
-        rng: Streams,
+        rng: Rng,
         normaliser: Normaliser,
         absorbing: str = "none",
     ) -> None:

@@ -13,7 +13,7 @@ from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbin
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import bellman_target, critic_loss
 
 SMOOTHING_STD = 0.2
@@ -45,7 +45,7 @@ class TD3:
         config: TD3Config,
         obs_dim: int,
         action_dim: int,
-        rng: Streams,
+        rng: Rng,
         normaliser: Normaliser,
         absorbing: str = "none",
     ) -> None:

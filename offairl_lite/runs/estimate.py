@@ -10,15 +10,15 @@ from offairl_lite import envs
 from offairl_lite.config import Config
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 
 
 def random_demonstrations(env_id: str, rows: int = 1000) -> Demonstrations:
     """Return one trajectory of random numbers, of the same sizes as the task's."""
-    env, streams = envs.make(env_id, 1, 0), Streams([0])
+    env, rng = envs.make(env_id, 1, 0), Rng([0])
     obs_dim, action_dim = env.single_observation_space.shape[0], env.single_action_space.shape[0]
-    parts = (streams.normal(rows, width)[0] for width in (obs_dim, action_dim, obs_dim))
+    parts = (rng.normal(rows, width)[0] for width in (obs_dim, action_dim, obs_dim))
     zero = torch.zeros(rows)
     return Demonstrations(env_id, Batch(*parts, reward=zero, terminated=zero), (rows,))
 

@@ -26,7 +26,7 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Row, Trainer
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs
 from offairl_lite.runs.checkpoints import SUBFOLDER, in_words
@@ -257,7 +257,7 @@ def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[in
                 f"{path} has of another run the {' and the '.join(inherited).replace('_', ' ')}, "
                 f"of {len(spec.seeds)} members and none for further seeds: start a run of its own"
             )
-    Streams(seeds)  # It refuses what cannot be a seed.
+    Rng(seeds)  # It refuses what cannot be a seed.
     there = [seed for spec in specs.values() for seed in spec.seeds]
     if len({*there, *seeds}) < len(there) + len(seeds):
         raise ValueError(f"seeds {list(seeds)} are not all new: there are {there}")

@@ -9,13 +9,13 @@ from torch.nn.functional import softplus
 
 from offairl_lite.ablations.bottleneck import Code, expected_cross_entropy, gauss_hermite
 from offairl_lite.core.discriminator import airl_loss
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 S, ROWS = 3, 5
 
 
 def inputs(width):
-    return Streams(range(10, 10 + S)).normal(ROWS, width).double()
+    return Rng(range(10, 10 + S)).normal(ROWS, width).double()
 
 
 def cross_entropy(expert_logit, policy_logit):
@@ -26,7 +26,7 @@ def cross_entropy(expert_logit, policy_logit):
 def test_a_bottleneck_at_its_mean_is_a_network(sizes):
     code, x = Code(sizes, 3, "tanh"), inputs(4)
     count = code.encoder.num_params + code.head.num_params
-    params = Streams(range(S)).normal(count).double()  # biases too, which begin at zero
+    params = Rng(range(S)).normal(count).double()  # biases too, which begin at zero
     encoder, head = params.split([code.encoder.num_params, code.head.num_params], 1)
     mean, log_std = code.encoder(encoder, x).chunk(2, -1)
     torch.testing.assert_close(code.net(code.at_mean(params), x), code.head(head, mean))
@@ -35,12 +35,12 @@ def test_a_bottleneck_at_its_mean_is_a_network(sizes):
 
 def test_the_spread_of_a_bottleneck_is_that_of_its_samples():
     code, x = Code((4, 6, 1), 3, "tanh"), inputs(4)
-    params = Streams(range(S)).normal(code.encoder.num_params + code.head.num_params).double() / 2
+    params = Rng(range(S)).normal(code.encoder.num_params + code.head.num_params).double() / 2
     encoder, head = params.split([code.encoder.num_params, code.head.num_params], 1)
     mean, log_std = code.encoder(encoder, x).chunk(2, -1)
     z = torch.distributions.Normal(mean, log_std.exp())
     variance, divergence = code.spread(params, x)
-    noise = Streams(range(20, 20 + S)).normal(ROWS, 100_000, 3).double()
+    noise = Rng(range(20, 20 + S)).normal(ROWS, 100_000, 3).double()
     samples = mean.unsqueeze(2) + log_std.exp().unsqueeze(2) * noise
     sampled = code.head(head, samples.flatten(1, 2)).view(S, ROWS, -1).var(-1)
     torch.testing.assert_close(variance, sampled, rtol=0.03, atol=0)
@@ -50,10 +50,10 @@ def test_the_spread_of_a_bottleneck_is_that_of_its_samples():
 
 
 def test_the_expected_cross_entropy_is_that_of_samples():
-    means, variances = (Streams((i, i + 1)).normal(B).double() for i in (0, 5)), (4.0, 0.01)
+    means, variances = (Rng((i, i + 1)).normal(B).double() for i in (0, 5)), (4.0, 0.01)
     expert, policy = (3 * mean for mean in means)
     variances = [torch.full_like(expert, v) for v in variances]
-    noise = Streams((7, 8)).normal(2, 200_000, B).double()
+    noise = Rng((7, 8)).normal(2, 200_000, B).double()
     logits = [m.unsqueeze(1) + v.sqrt().unsqueeze(1) * noise[:, i] for i, (m, v) in
               enumerate(zip((expert, policy), variances, strict=True))]  # fmt: skip
     sampled = cross_entropy(*logits).mean(1)

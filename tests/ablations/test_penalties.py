@@ -11,17 +11,17 @@ from offairl_lite.ablations.penalties import (
     spectrally_normalised,
 )
 from offairl_lite.core.networks import StackedMLP
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 S = 3
 
 
 def random_params(net):
-    return Streams(range(S)).normal(net.num_params).double()
+    return Rng(range(S)).normal(net.num_params).double()
 
 
 def inputs(width):
-    return Streams(range(10, 10 + S)).normal(B, width).double()
+    return Rng(range(10, 10 + S)).normal(B, width).double()
 
 
 # Penalties.
@@ -79,7 +79,7 @@ def test_in_the_released_loss_the_policy_enters_through_the_penalty():
 def test_spectral_normalisation_makes_every_weight_s_largest_singular_value_one():
     net = StackedMLP((4, 6, 7, 1), "tanh")
     params = random_params(net)
-    vectors = init_vectors(net, Streams(range(S))).double()
+    vectors = init_vectors(net, Rng(range(S))).double()
     for _ in range(300):
         vectors = power_iteration(net, params, vectors)
     normalised = spectrally_normalised(net, params, vectors)
@@ -96,7 +96,7 @@ def test_spectral_normalisation_makes_every_weight_s_largest_singular_value_one(
 def test_the_gradient_through_spectral_normalisation_is_the_singular_value_s():
     net = StackedMLP((4, 6, 1), "tanh")
     params = random_params(net).requires_grad_()
-    vectors = init_vectors(net, Streams(range(S))).double()
+    vectors = init_vectors(net, Rng(range(S))).double()
     for _ in range(300):
         vectors = power_iteration(net, params, vectors)
     direction = inputs(net.num_params)[:, 0]
@@ -121,7 +121,7 @@ def test_the_gradient_through_spectral_normalisation_is_the_singular_value_s():
 def test_weights_of_zero_survive_spectral_normalisation():
     net = StackedMLP((4, 6, 1))
     params = torch.zeros(S, net.num_params)
-    vectors = power_iteration(net, params, init_vectors(net, Streams(range(S))))
+    vectors = power_iteration(net, params, init_vectors(net, Rng(range(S))))
     assert (spectrally_normalised(net, params, vectors) == 0).all()
 
 

@@ -21,7 +21,7 @@ from offairl_lite.core.policies import (
     gaussian_log_density,
     make_actor,
 )
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 RANGE = (-5.0, 2.0)
 
@@ -63,8 +63,8 @@ def test_the_released_product_by_hand(kind, monkeypatch):
 @pytest.mark.parametrize("kind", [ReleasedDensityOfProduct, ReleasedPolicy])
 def test_the_density_of_a_released_product_is_a_gaussian_at_the_action(kind):
     actor = kind(3, 2, (7,), RANGE, 3, (5,), (6,))
-    params = actor.init(Streams((0, 1)))
-    obs, u = (Streams((4, 5)).normal(6, n) for n in (3, 2))
+    params = actor.init(Rng((0, 1)))
+    obs, u = (Rng((4, 5)).normal(6, n) for n in (3, 2))
     expected = gaussian_log_density(torch.tanh(u), *actor.distribution(params, obs))
     assert torch.equal(actor.log_prob(params, obs, u), expected)
 

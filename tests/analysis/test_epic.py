@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from offairl_lite.analysis.epic import Transitions, canonical, distances, pearson_distance
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 STATES, ACTIONS, GAMMA = 4, 3, 0.9
 
@@ -23,7 +23,7 @@ def everywhere():
 
 
 def random_table(seed):
-    return Streams([seed]).normal(STATES, ACTIONS, STATES)[0].double()
+    return Rng([seed]).normal(STATES, ACTIONS, STATES)[0].double()
 
 
 def shaping(potential):
@@ -58,7 +58,7 @@ def test_the_canonical_form_is_that_of_the_definition():
 
 
 def test_shaping_makes_no_difference_whatever_the_samples():
-    streams = Streams([3])
+    streams = Rng([3])
     transitions, samples = (
         Transitions(*(streams.normal(n, k)[0].double() for k in (2, 1, 2))) for n in (30, 7)
     )

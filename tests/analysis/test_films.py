@@ -5,7 +5,7 @@ import pytest
 from offairl_lite.analysis import films as video
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 MAZE = "offairl/PointMazeLeft-v0"
 
@@ -13,7 +13,7 @@ MAZE = "offairl/PointMazeLeft-v0"
 def policy(seeds=(0,), obs_dim=3, action_dim=2):
     actor = SquashedGaussian(obs_dim, action_dim, (8,))
     normaliser = Normaliser.identity(len(seeds), obs_dim)
-    return Policy(MAZE, actor, actor.init(Streams(seeds)), normaliser)
+    return Policy(MAZE, actor, actor.init(Rng(seeds)), normaliser)
 
 
 @pytest.mark.parametrize("obs_dim", [3, 4])

@@ -9,7 +9,7 @@ from offairl_lite.analysis import plots
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.envs.models import GOAL
 
 
@@ -50,7 +50,7 @@ def test_a_level_is_drawn_where_it_is_and_named(ax):
 @pytest.mark.parametrize("member", [0, 1])
 def test_a_reward_map_is_the_reward_shifted_so_that_its_best_is_0(ax, member):
     net = StackedMLP((3, 8, 1), "tanh")
-    params = net.init(Streams((0, 1)))
+    params = net.init(Rng((0, 1)))
     reward = Reward("offairl/PointMazeLeft-v0", net, True, params, Normaliser.identity(2, 3))
     image = plots.reward_map(ax, reward, "Left", member, resolution=5)
     values = np.asarray(image.get_array())

@@ -13,7 +13,7 @@ import torch
 from offairl_lite.config import CORRECTED, differences, flat_settings
 from offairl_lite.core.networks import Normaliser, load_weights
 from offairl_lite.core.policies import Policy, make_actor
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.experiments import EXPERIMENTS, configure
 from offairl_lite.runs import inputs, records
 from offairl_lite.runs.provenance import PACKAGES
@@ -167,7 +167,7 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
     cell = next(c for c in cells(ROOT / "book", "09_transfer") if c.id == "c9gate1")
     (recipe,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
     actor = make_actor(configure("maze-mcp/8-softmax", "demo").learner, 3, 2)
-    policy = Policy("", actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
+    policy = Policy("", actor, actor.init(Rng((0, 1))), Normaliser.identity(2, 3))
     path = tmp_path / "runs/maze-mcp-full/8-softmax/policy.safetensors"
     path.parent.mkdir(parents=True)
     policy.save(path)

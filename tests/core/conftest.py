@@ -6,7 +6,7 @@ import torch
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 MAZE = "offairl/PointMazeLeft-v0"
 
@@ -22,7 +22,7 @@ def frozen_reward():
 
     def make(members, env_id=MAZE, obs_dim=3, action_dim=0):
         net = StackedMLP((obs_dim + action_dim, 4, 1), "tanh")
-        params = net.init(Streams(range(members)))
+        params = net.init(Rng(range(members)))
         return Reward(env_id, net, not action_dim, params, Normaliser.identity(members, obs_dim))
 
     return make
@@ -35,7 +35,7 @@ def earlier_policy():
     def make(config, members, shift=0.0):
         actor = make_actor(config.learner, 3, 2)
         mean, std = torch.full((members, 1, 3), shift), torch.full((members, 1, 3), 2.0)
-        params = actor.init(Streams(range(10, 10 + members)))
+        params = actor.init(Rng(range(10, 10 + members)))
         return Policy(MAZE, actor, params, Normaliser(mean, std))
 
     return make

@@ -31,7 +31,7 @@ from offairl_lite.core.discriminator import (
 )
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import OF_LOGIT
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 every_config = pytest.mark.parametrize("name", CONFIGS)
 
@@ -70,7 +70,7 @@ def test_entropy_is_that_of_the_verdict():
 
 
 def test_cross_entropy_labels_the_expert_one():
-    expert, policy = (Streams((i, i + 1)).normal(B).double() for i in (0, 5))
+    expert, policy = (Rng((i, i + 1)).normal(B).double() for i in (0, 5))
     d_expert, d_policy = torch.sigmoid(expert), torch.sigmoid(policy)
     expected = -(d_expert.log()).mean(1) - (1 - d_policy).log().mean(1)
     loss = airl_loss(expert, policy, torch.ones_like(expert), 10.0)
@@ -403,7 +403,7 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
     for _ in range(20):
         discriminator.update(*data(dtype=torch.float32))
     reward = discriminator.frozen
-    x = Streams((3, 4)).normal(1, OBS + ACT)
+    x = Rng((3, 4)).normal(1, OBS + ACT)
     for i in range(OBS + (0 if discriminator.state_only else ACT)):
         other = x.clone()
         other[..., i] += 1

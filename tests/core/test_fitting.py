@@ -11,7 +11,7 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.loop import Trainer, train
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
@@ -127,7 +127,7 @@ def test_a_centred_reward_has_no_constant(tiny, frozen_reward, until):
     config, reward = tiny.change(reward="frozen", centre_reward=True), frozen_reward(1)
     shifted = replace(reward, params=reward.params.clone())
     shifted.net.layers(shifted.params)[-1][0].add_(3)
-    obs = Streams((0,)).normal(5, 3)
+    obs = Rng((0,)).normal(5, 3)
     torch.testing.assert_close(shifted(obs), reward(obs) + 3)
 
     def weights(reward, **changes):

@@ -13,18 +13,18 @@ from offairl_lite.core.networks import (
     load_weights,
     save_weights,
 )
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 S, B = 3, 5
 ACTIVATIONS = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
 def random_params(net, members=S):
-    return Streams(range(members)).normal(net.num_params).double()
+    return Rng(range(members)).normal(net.num_params).double()
 
 
 def inputs(width):
-    return Streams(range(10, 10 + S)).normal(B, width).double()
+    return Rng(range(10, 10 + S)).normal(B, width).double()
 
 
 def sequential(net, row):
@@ -82,7 +82,7 @@ def test_training_on_the_input_gradient_is_double_backward(activation):
 
 def test_initial_weights_are_glorot_uniform_and_biases_zero():
     net = StackedMLP((50, 100, 2))
-    for (bias, weight), fans in zip(net.layers(net.init(Streams((0, 1)))), (150, 102), strict=True):
+    for (bias, weight), fans in zip(net.layers(net.init(Rng((0, 1)))), (150, 102), strict=True):
         assert (bias == 0).all()
         bound = (6 / fans) ** 0.5
         assert weight.abs().max() <= bound
@@ -92,7 +92,7 @@ def test_initial_weights_are_glorot_uniform_and_biases_zero():
 
 def test_the_twin_critics_are_two_networks():
     critic = TwinCritic(3, 2, (6,))
-    params = critic.init(Streams(range(S))).double()
+    params = critic.init(Rng(range(S))).double()
     assert not torch.equal(params[0], params[1])
     obs, action = inputs(3), inputs(2)
     x = torch.cat([obs, action], -1)
@@ -103,8 +103,8 @@ def test_the_twin_critics_are_two_networks():
 def test_a_normaliser_gives_the_even_mixture_mean_0_and_spread_1():
     # As many rows of the one as of ten others: each source counts as a half.
     shift = torch.tensor([0.0, -3.0, 5_000.0])
-    one = Streams(range(S)).normal(4_000, 3) * torch.tensor([1.0, 20.0, 0.5]) + shift
-    other = 3 * Streams(range(5, 5 + S)).normal(400, 3) + shift + 1
+    one = Rng(range(S)).normal(4_000, 3) * torch.tensor([1.0, 20.0, 0.5]) + shift
+    other = 3 * Rng(range(5, 5 + S)).normal(400, 3) + shift + 1
     normaliser = Normaliser.of(one, other)
     first, second = normaliser(one).double(), normaliser(other).double()
     mean = (first.mean(1) + second.mean(1)) / 2
@@ -114,20 +114,20 @@ def test_a_normaliser_gives_the_even_mixture_mean_0_and_spread_1():
 
 
 def test_a_coordinate_that_hardly_varies_is_only_centred():
-    obs = Streams((0,)).normal(100, 2) * torch.tensor([1e-5, 1.0]) + 7
+    obs = Rng((0,)).normal(100, 2) * torch.tensor([1e-5, 1.0]) + 7
     normaliser = Normaliser.of(obs)
     assert normaliser.std[0, 0, 0] == 1
     torch.testing.assert_close(normaliser(obs)[..., 0], obs[..., 0] - obs[..., 0].mean())
 
 
 def test_small_units_are_scaled_like_any_other():
-    obs = Streams((0,)).normal(100, 2)
+    obs = Rng((0,)).normal(100, 2)
     scaled, small = Normaliser.of(obs), Normaliser.of(1e-4 * obs)
     torch.testing.assert_close(small(1e-4 * obs), scaled(obs))
 
 
 def test_members_are_normalised_by_their_own_statistics():
-    obs = Streams(range(S)).normal(50, 2) * torch.arange(1.0, S + 1).view(S, 1, 1)
+    obs = Rng(range(S)).normal(50, 2) * torch.arange(1.0, S + 1).view(S, 1, 1)
     for i in range(S):
         alone = Normaliser.of(obs[i : i + 1])
         torch.testing.assert_close(Normaliser.of(obs)(obs)[i : i + 1], alone(obs[i : i + 1]))
@@ -139,8 +139,8 @@ def test_the_identity_changes_nothing():
 
 
 def test_descend_is_adam_also_for_a_gradient_in_another_order():
-    weights = Streams((0, 1, 2)).normal(40)
-    slopes = Streams(range(40)).normal(3)
+    weights = Rng((0, 1, 2)).normal(40)
+    slopes = Rng(range(40)).normal(3)
     params, reference = weights.clone(), weights.clone().requires_grad_()
     optimizer = Adam(params, 0.1)
     plain = torch.optim.Adam([reference], lr=0.1, foreach=True)

@@ -21,7 +21,7 @@ from offairl_lite.core.policies import (
     product_of_gaussians,
     unsquash,
 )
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 RANGE = (-5.0, 2.0)
 CASES = {"ordinary": (0.0, 0.5), "narrow": (0.3, 0.02), "wide": (0.0, 5.0), "off-centre": (3.0, 1)}
@@ -105,8 +105,8 @@ def test_the_defensive_density_has_no_tail_however_foreign_the_action():
 
 def test_log_prob_is_summed_over_actions_and_follows_the_state():
     actor = SquashedGaussian(3, 2, (7,))
-    params = actor.init(Streams((0, 1))).double()
-    obs, u = (Streams((4, 5)).normal(6, n).double() for n in (3, 2))
+    params = actor.init(Rng((0, 1))).double()
+    obs, u = (Rng((4, 5)).normal(6, n).double() for n in (3, 2))
     mean, log_std = actor.distribution(params, obs)
     normal = scipy.stats.norm.logpdf(u, mean, log_std.exp())
     expected = (normal - np.log(1 - np.tanh(u.numpy()) ** 2)).sum(-1)
@@ -128,8 +128,8 @@ def test_saturated_actions_have_finite_densities_and_gradients(pre_tanh, dtype):
 @pytest.mark.parametrize("pre_tanh", SATURATED)
 def test_gradients_are_finite_differences(pre_tanh):
     actor = SquashedGaussian(2, 2, (5,))
-    params = actor.init(Streams((0,))).double().requires_grad_()
-    obs = Streams((1,)).normal(3, 2).double()
+    params = actor.init(Rng((0,))).double().requires_grad_()
+    obs = Rng((1,)).normal(3, 2).double()
     u = torch.full((1, 3, 2), pre_tanh, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(
         lambda p, u: actor.log_prob(p, obs, u).tanh() + actor.log_prob(p, obs, u) / 1e3,
@@ -146,8 +146,8 @@ PRODUCTS = [
 
 @pytest.mark.parametrize("actor", [SquashedGaussian(3, 2, (7,)), *PRODUCTS])
 def test_a_sample_comes_with_its_own_log_prob(actor):
-    params = actor.init(Streams((0, 1))).double()
-    obs, noise = (Streams((4, 5)).normal(6, n).double() for n in (3, 2))
+    params = actor.init(Rng((0, 1))).double()
+    obs, noise = (Rng((4, 5)).normal(6, n).double() for n in (3, 2))
     # Far out as well: 30 σ.
     noise[:, 0] = 30
     pre_tanh, log_prob = actor.sample(params, obs, noise)
@@ -186,8 +186,8 @@ def test_the_slope_of_tanh_is_exact_where_it_vanishes():
 
 def test_the_deterministic_actor_adds_noise_to_the_action():
     actor = Deterministic(3, 2, (7,), noise_std=0.1)
-    params = actor.init(Streams((0, 1)))
-    obs, noise = (Streams((4, 5)).normal(6, n) for n in (3, 2))
+    params = actor.init(Rng((0, 1)))
+    obs, noise = (Rng((4, 5)).normal(6, n) for n in (3, 2))
     noise[0, 0] = 1e3
     pre_tanh = actor.explore(params, obs, noise)
     expected = (actor.mode(params, obs) + 0.1 * noise).clamp(-MAX_ACTION, MAX_ACTION)
@@ -203,13 +203,13 @@ ACTORS = [
 
 
 def population(actor):
-    normaliser = Normaliser(Streams((5, 6)).normal(1, 3), 1 + Streams((5, 6)).uniform(1, 3))
-    return Policy("some/Task-v0", actor, actor.init(Streams((0, 1))), normaliser)
+    normaliser = Normaliser(Rng((5, 6)).normal(1, 3), 1 + Rng((5, 6)).uniform(1, 3))
+    return Policy("some/Task-v0", actor, actor.init(Rng((0, 1))), normaliser)
 
 
 @pytest.mark.parametrize("actor", ACTORS)
 def test_a_policy_acts_by_mode_or_by_sample_on_scaled_observations(actor):
-    policy, obs, noise = population(actor), *(Streams((4, 5)).normal(6, n) for n in (3, 2))
+    policy, obs, noise = population(actor), *(Rng((4, 5)).normal(6, n) for n in (3, 2))
     scaled = (obs - policy.normaliser.mean) / policy.normaliser.std
     assert torch.equal(policy.act(obs), actor.mode(policy.params, scaled))
     sampled = torch.tanh(actor.explore(policy.params, scaled, noise))
@@ -223,7 +223,7 @@ def test_a_policy_comes_back_from_a_file(actor, tmp_path):
     policy.save(path)
     loaded = Policy.load(path)
     assert (loaded.env_id, loaded.actor) == (policy.env_id, policy.actor)
-    obs = Streams((4, 5)).normal(6, 3)
+    obs = Rng((4, 5)).normal(6, 3)
     assert torch.equal(loaded.act(obs), policy.act(obs))
 
 
@@ -239,7 +239,7 @@ def test_an_actor_of_no_known_type_is_refused(tmp_path, monkeypatch):
 
 
 def test_members_can_be_taken_out():
-    policy, obs = population(ACTORS[0]), Streams((4, 5)).normal(6, 3)
+    policy, obs = population(ACTORS[0]), Rng((4, 5)).normal(6, 3)
     alone = policy.member(1)
     assert len(alone) == 1
     torch.testing.assert_close(alone.act(obs[1:]), policy.act(obs)[1:])
@@ -284,9 +284,9 @@ def test_the_composition_by_hand():
 def test_one_primitive_is_the_plain_actor():
     plain = SquashedGaussian(3, 2, (7, 5, 4), RANGE)
     actor = MultiplicativeGaussian(3, 2, (7, 5), RANGE, 1, (4,), gate_hidden=(6,))
-    params = actor.init(Streams((0, 1)))
+    params = actor.init(Rng((0, 1)))
     trunk, primitive, _ = actor.split(params)
-    obs, noise = (Streams((4, 5)).normal(6, n) for n in (3, 2))
+    obs, noise = (Rng((4, 5)).normal(6, n) for n in (3, 2))
     ours = actor.sample(params, obs, noise)
     theirs = plain.sample(torch.cat([trunk, primitive[:, 0]], 1), obs, noise)
     torch.testing.assert_close(ours, theirs)
@@ -295,7 +295,7 @@ def test_one_primitive_is_the_plain_actor():
 @pytest.mark.parametrize("gating", GATINGS)
 def test_weights_are_as_the_gating_says(gating):
     actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 5, (5,), (6,), gating)
-    params, obs = 3 * actor.init(Streams((0, 1))), Streams((4, 5)).normal(100, 3)
+    params, obs = 3 * actor.init(Rng((0, 1))), Rng((4, 5)).normal(100, 3)
     *_, weight = actor.parts(params, obs)
     assert weight.shape == (2, 100, 5)
     assert (weight > 0).all()
@@ -306,7 +306,7 @@ def test_weights_are_as_the_gating_says(gating):
 
 def test_each_primitive_is_the_plain_actor_with_its_weights():
     actor = MultiplicativeGaussian(3, 2, (7,), RANGE, 4, (5,), (6,))
-    params, obs = actor.init(Streams((0, 1))), Streams((4, 5)).normal(6, 3)
+    params, obs = actor.init(Rng((0, 1))), Rng((4, 5)).normal(6, 3)
     mean, log_std, _ = actor.parts(params, obs)
     plain = SquashedGaussian(3, 2, (7, 5), RANGE)
     trunk, primitives, _ = actor.split(params)
@@ -329,10 +329,10 @@ def test_the_composite_keeps_within_the_bounds_of_a_primitive():
 @pytest.mark.parametrize("fixed", [False, True])
 def test_gradients_reach_the_gate_and_the_primitives_unless_these_are_fixed(fixed):
     actor = PRODUCTS[0]
-    params = actor.init(Streams((0, 1))).requires_grad_()
+    params = actor.init(Rng((0, 1))).requires_grad_()
     used = actor.with_fixed_primitives(params) if fixed else params
     assert torch.equal(used, params)
-    pre_tanh, log_prob = actor.sample(used, *(Streams((4, 5)).normal(6, n) for n in (3, 2)))
+    pre_tanh, log_prob = actor.sample(used, *(Rng((4, 5)).normal(6, n) for n in (3, 2)))
     (gradient,) = torch.autograd.grad(pre_tanh.sum() + log_prob.sum(), params)
     *others, of_gate = actor.split(gradient)
     assert (of_gate != 0).float().mean() > 0.4
@@ -345,8 +345,8 @@ def test_gradients_reach_the_gate_and_the_primitives_unless_these_are_fixed(fixe
 @pytest.mark.parametrize("gating", GATINGS)
 def test_gradients_of_compositions_are_finite_differences(gating, kind):
     actor = kind(2, 2, (3,), RANGE, 3, (3,), (3,), gating)
-    params = actor.init(Streams((0, 1))).double().requires_grad_()
-    obs, u = (Streams((4, 5)).normal(3, 2).double() for _ in range(2))
+    params = actor.init(Rng((0, 1))).double().requires_grad_()
+    obs, u = (Rng((4, 5)).normal(3, 2).double() for _ in range(2))
     assert torch.autograd.gradcheck(
         lambda p, u: actor.log_prob(p, obs, u), (params, u.requires_grad_()), rtol=1e-4
     )

@@ -7,7 +7,7 @@ from offairl_lite.config import CORRECTED
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.ppo import PPO, Rollout, clipped_surrogate, episode_ends, gae, value_loss
 from offairl_lite.core.replay import Batch
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 OBS, ACT, T = 3, 2, 12
 CONFIG = CORRECTED.change(
@@ -22,8 +22,8 @@ CONFIG = CORRECTED.change(
 
 def make(seeds=(0, 1), **changes):
     """A learner whose observations are scaled."""
-    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
-    return PPO(CONFIG.change(**changes).learner, OBS, ACT, Streams(seeds), normaliser)
+    normaliser = Normaliser(Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS))
+    return PPO(CONFIG.change(**changes).learner, OBS, ACT, Rng(seeds), normaliser)
 
 
 def log_prob(learner, block):
@@ -32,7 +32,7 @@ def log_prob(learner, block):
 
 def data(learner, seeds=(0, 1)):
     """A block of the learner's own actions, with an end in the middle; rewards; noise."""
-    streams = Streams([100 + seed for seed in seeds])
+    streams = Rng([100 + seed for seed in seeds])
     path = streams.normal(T + 1, OBS)
     obs, next_obs = path[:, :-1], path[:, 1:].clone()
     next_obs[:, T // 2] += 1
@@ -72,7 +72,7 @@ def brute_force(reward, value, next_value, terminated, ends, discount, decay):
 
 @pytest.mark.parametrize(("discount", "decay"), [(0.9, 0.0), (0.9, 0.7), (1.0, 0.95), (0.99, 1.0)])
 def test_advantages_are_the_weighted_k_step_advantages(discount, decay):
-    streams = Streams((0, 1, 2))
+    streams = Rng((0, 1, 2))
     reward, value, next_value = (streams.normal(T).double() for _ in range(3))
     # Within an episode the next state is the next step's.
     next_value[:, :-1] = value[:, 1:]
@@ -130,7 +130,7 @@ def test_losses_are_summed_over_members_and_averaged_over_the_batch():
 
 
 def test_losses_have_the_gradients_of_finite_differences():
-    streams = Streams((0, 1))
+    streams = Rng((0, 1))
     log_prob, old, advantage = (streams.normal(6).double() for _ in range(3))
     log_prob.requires_grad_()
     assert torch.autograd.gradcheck(
@@ -140,7 +140,7 @@ def test_losses_have_the_gradients_of_finite_differences():
 
 
 def test_at_the_old_policy_the_surrogate_s_gradient_is_the_policy_gradient():
-    streams = Streams((0, 1))
+    streams = Rng((0, 1))
     old, advantage = streams.normal(6).double(), streams.normal(6).double()
     log_prob = old.clone().requires_grad_()
     gradient = torch.autograd.grad(clipped_surrogate(log_prob, old, advantage, 0.2), log_prob)[0]
@@ -234,7 +234,7 @@ def test_a_reward_that_comes_later_is_credited_to_what_led_to_it():
     Over seeds 0-9, after 40 blocks, the first action was 0.97 at least.
     """
     seeds, episodes = (0, 1, 2), 50
-    learner, streams = make(seeds, log_std_range=(-2.0, 1.0), learning_rate=3e-3), Streams(seeds)
+    learner, streams = make(seeds, log_std_range=(-2.0, 1.0), learning_rate=3e-3), Rng(seeds)
     clock = torch.tensor([0.0, 1.0]).repeat(episodes)
     for _ in range(40):
         obs = torch.zeros(3, 2 * episodes, OBS)

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from offairl_lite.core.replay import Batch, Replay, choose, pack, unpack
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 
 def numbered(values, obs_dim=2, action_dim=1):
@@ -17,7 +17,7 @@ def held(replay, member):
 
 
 def test_packing_is_undone_by_unpacking():
-    streams = Streams((0, 1))
+    streams = Rng((0, 1))
     batch = Batch(*(streams.normal(4, n) for n in (3, 2, 3)), *(streams.normal(4) for _ in "rt"))
     assert pack(batch).shape == (2, 4, 10)
     for part, again in zip(batch, unpack(pack(batch), 3), strict=True):
@@ -25,7 +25,7 @@ def test_packing_is_undone_by_unpacking():
 
 
 def test_minibatches_are_cut_from_the_second_axis():
-    wide, flat = Streams((0, 1)).normal(5, 2), torch.arange(10.0).view(2, 5)
+    wide, flat = Rng((0, 1)).normal(5, 2), torch.arange(10.0).view(2, 5)
     batch = Batch(wide, wide, wide, flat, flat)
     parts = batch.split(2)
     assert [part.reward.shape[1] for part in parts] == [2, 2, 1]
@@ -61,7 +61,7 @@ def test_samples_are_the_rows_held_and_no_others():
     for step in range(4):
         replay.add(numbered([step + 1, step + 11]))
     replay.add(numbered([15]), torch.tensor([1]))
-    batch = replay.sample(Streams((0, 1)), 300)
+    batch = replay.sample(Rng((0, 1)), 300)
     assert batch.obs.shape == (2, 300, 2)
     assert batch.obs[0, :, 0].unique().tolist() == [1, 2, 3, 4]
     assert batch.obs[1, :, 0].unique().tolist() == [11, 12, 13, 14, 15]
@@ -74,7 +74,7 @@ def test_sampling_is_uniform():
     replay = Replay(1, 8, 2, 1)
     for step in range(4):
         replay.add(numbered([step]))
-    counts = replay.sample(Streams((0,)), 40_000).obs[0, :, 0].long().bincount(minlength=4)
+    counts = replay.sample(Rng((0,)), 40_000).obs[0, :, 0].long().bincount(minlength=4)
     # Four standard deviations of a binomial count.
     assert (counts - 10_000).abs().max() < 4 * (40_000 * 0.25 * 0.75) ** 0.5
 
@@ -97,14 +97,14 @@ def test_episodes_are_drawn_whole():
     replay = Replay(1, 6, 2, 1, slots=8)
     for step in range(12):
         replay.add(numbered([step]))
-    drawn = replay.sample(Streams((0,)), 300, horizon=3).obs[0, :, 0].view(100, 3).tolist()
+    drawn = replay.sample(Rng((0,)), 300, horizon=3).obs[0, :, 0].view(100, 3).tolist()
     assert {tuple(episode) for episode in drawn} == {(6, 7, 8), (9, 10, 11)}
 
 
 def test_a_horizon_of_one_step_is_a_draw_of_rows():
-    one, other = (choose(Streams((0, 1)), *given) for given in (([5, 9], 20), ([5, 9], 20, 1)))
+    one, other = (choose(Rng((0, 1)), *given) for given in (([5, 9], 20), ([5, 9], 20, 1)))
     assert torch.equal(one, other)
-    assert torch.equal(one, Streams((0, 1)).integers([5, 9], 20))
+    assert torch.equal(one, Rng((0, 1)).integers([5, 9], 20))
 
 
 def test_a_replay_that_is_put_back_finds_its_rows_as_they_were():
@@ -112,13 +112,13 @@ def test_a_replay_that_is_put_back_finds_its_rows_as_they_were():
     replay = Replay(2, 3, 2, 1, slots=5)
     for step in range(7):
         replay.add(numbered([step, 10 + step]))
-    added, before = replay.added.clone(), replay.sample(Streams((0, 1)), 50)
+    added, before = replay.added.clone(), replay.sample(Rng((0, 1)), 50)
     for step in range(7, 9):
         replay.add(numbered([step, 10 + step]))
     assert held(replay, 0) == [6, 7, 8]
     replay.added.copy_(added)
     assert held(replay, 0) == [4, 5, 6]
-    for part, again in zip(before, replay.sample(Streams((0, 1)), 50), strict=True):
+    for part, again in zip(before, replay.sample(Rng((0, 1)), 50), strict=True):
         assert torch.equal(part, again)
 
 
@@ -127,7 +127,7 @@ def test_spare_slots_change_no_draw():
     for step in range(11):
         few.add(numbered([step]))
         many.add(numbered([step]))
-        drawn = [r.sample(Streams((0,)), 40).obs for r in (few, many)]
+        drawn = [r.sample(Rng((0,)), 40).obs for r in (few, many)]
         assert torch.equal(*drawn)
         assert held(few, 0) == held(many, 0)
 
@@ -156,14 +156,14 @@ def test_a_member_without_an_episode_cannot_be_sampled():
     replay = Replay(1, 9, 2, 1)
     replay.add(numbered([1]))
     with pytest.raises(ValueError, match=r"\(sizes \[1\]\) or has no whole episode"):
-        replay.sample(Streams((0,)), 2, horizon=2)
+        replay.sample(Rng((0,)), 2, horizon=2)
 
 
 def test_an_empty_member_cannot_be_sampled():
     replay = Replay(2, 3, 2, 1)
     replay.add(numbered([1]), torch.tensor([1]))
     with pytest.raises(ValueError, match=r"empty \(sizes \[0, 1\]\)"):
-        replay.sample(Streams((0, 1)), 1)
+        replay.sample(Rng((0, 1)), 1)
 
 
 @pytest.mark.parametrize("batch", [numbered([0, 1, 2]), numbered([0, 1], action_dim=2)])

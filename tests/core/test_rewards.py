@@ -13,7 +13,7 @@ from offairl_lite.core.rewards import (
     gail_termination,
     log_odds,
 )
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 LOGIT = torch.linspace(-20, 20, 41, dtype=torch.float64)
 D = torch.sigmoid(LOGIT)
@@ -65,13 +65,13 @@ OBS, ACT = 3, 2
 
 def frozen(state_only=False, seeds=(0, 1)):
     net = StackedMLP((OBS if state_only else OBS + ACT, 6, 1), "tanh")
-    normaliser = Normaliser(Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS))
-    return Reward("Task-v0", net, state_only, Streams(seeds).normal(net.num_params), normaliser)
+    normaliser = Normaliser(Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS))
+    return Reward("Task-v0", net, state_only, Rng(seeds).normal(net.num_params), normaliser)
 
 
 def steps(seeds=(4, 5)):
     """Observations and actions of four steps."""
-    streams = Streams(seeds)
+    streams = Rng(seeds)
     return streams.normal(4, OBS), torch.tanh(streams.normal(4, ACT))
 
 

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 DRAWS = {
     "normal": lambda s: s.normal(4, 3),
@@ -15,7 +15,7 @@ def draw_all(streams):
 
 
 def test_a_member_draws_the_same_alone_and_among_others():
-    many, alone = Streams((1, 3, 7)), Streams((3,))
+    many, alone = Rng((1, 3, 7)), Rng((3,))
     for _ in range(2):
         for a, b in zip(draw_all(many), draw_all(alone), strict=True):
             assert torch.equal(a[1:2], b)
@@ -23,17 +23,17 @@ def test_a_member_draws_the_same_alone_and_among_others():
 
 @pytest.mark.parametrize("draw", DRAWS.values(), ids=DRAWS)
 def test_seeds_decide(draw):
-    assert torch.equal(draw(Streams((0, 1))), draw(Streams((0, 1))))
-    zero, one = draw(Streams((0, 1)))
+    assert torch.equal(draw(Rng((0, 1))), draw(Rng((0, 1))))
+    zero, one = draw(Rng((0, 1)))
     assert not torch.equal(zero, one)
 
 
 def test_a_restored_state_goes_on_from_there():
-    streams = Streams((0, 5))
+    streams = Rng((0, 5))
     streams.normal(3)
     state = streams.state
     expected = draw_all(streams)
-    other = Streams((8, 9))
+    other = Rng((8, 9))
     other.state = state
     for a, b in zip(draw_all(other), expected, strict=True):
         assert torch.equal(a, b)
@@ -41,17 +41,17 @@ def test_a_restored_state_goes_on_from_there():
 
 def test_a_state_of_another_population_is_refused():
     with pytest.raises(ValueError, match="zip"):
-        Streams((0, 1)).state = Streams((0,)).state
+        Rng((0, 1)).state = Rng((0,)).state
 
 
 def test_torch_s_global_generator_is_left_alone():
     before = torch.get_rng_state()
-    draw_all(Streams((0,)))
+    draw_all(Rng((0,)))
     assert torch.equal(torch.get_rng_state(), before)
 
 
 def test_numbers_have_their_distribution():
-    streams = Streams((0, 1))
+    streams = Rng((0, 1))
     normal, uniform = streams.normal(20_000), streams.uniform(20_000)
     torch.testing.assert_close(normal.mean(1), torch.zeros(2), atol=0.03, rtol=0)
     torch.testing.assert_close(normal.std(1), torch.ones(2), atol=0.03, rtol=0)
@@ -61,6 +61,6 @@ def test_numbers_have_their_distribution():
 
 
 def test_integers_have_a_bound_for_each_member():
-    draws = Streams((0, 1)).integers([3, 5], 500)
+    draws = Rng((0, 1)).integers([3, 5], 500)
     assert draws[0].unique().tolist() == [0, 1, 2]
     assert draws[1].unique().tolist() == [0, 1, 2, 3, 4]

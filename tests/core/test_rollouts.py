@@ -6,7 +6,7 @@ import torch
 from offairl_lite.core import rollouts
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import episode_seeds, rollout
 
 TASKS = {"offairl/PointMazeLeft-v0": (3, 2), "Hopper-v5": (11, 3)}
@@ -16,7 +16,7 @@ SEEDS, EPISODES = (4, 9), 3
 def random_policy(env_id, extra=0):
     obs_dim, action_dim = TASKS[env_id]
     actor = SquashedGaussian(obs_dim + extra, action_dim, (8,))
-    params = actor.init(Streams(SEEDS))
+    params = actor.init(Rng(SEEDS))
     return Policy(env_id, actor, params, Normaliser.identity(2, obs_dim + extra))
 
 
@@ -160,7 +160,7 @@ def test_an_episode_does_not_depend_on_how_many_others_there_are(sample):
 def test_episodes_do_not_depend_on_how_many_threads_pytorch_has():
     """Large enough for it to use two; what is rounded otherwise, a contact magnifies."""
     actor = SquashedGaussian(11, 3, (400, 300))
-    policy = Policy("Hopper-v5", actor, actor.init(Streams((0,))), Normaliser.identity(1, 11))
+    policy = Policy("Hopper-v5", actor, actor.init(Rng((0,))), Normaliser.identity(1, 11))
     before, made = torch.get_num_threads(), []
     try:
         for threads in (1, 2):
@@ -212,7 +212,7 @@ def test_misfits_are_refused():
 
 def test_another_number_of_actions_is_refused():
     actor = SquashedGaussian(3, 1, (8,))
-    policy = Policy("Lever-v0", actor, actor.init(Streams(SEEDS)), Normaliser.identity(2, 3))
+    policy = Policy("Lever-v0", actor, actor.init(Rng(SEEDS)), Normaliser.identity(2, 3))
     with pytest.raises(
         ValueError, match=r"Lever-v0 gives 1 numbers, .* \(2,\): choose a task with"
     ):

@@ -7,7 +7,7 @@ import torch
 
 from offairl_lite.core.loop import Trainer, train
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 
 MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
 run = partial(train, progress=False)
@@ -70,7 +70,7 @@ def test_a_pretrained_policy_acts_as_before(tiny, built, earlier_policy, kind):
     policy = earlier_policy(config, 2, shift=0.3)
     now = built(config, pretrained_policy=policy).policy
     assert torch.equal(now.params, policy.params)
-    obs = Streams((0, 1)).normal(5, 3)
+    obs = Rng((0, 1)).normal(5, 3)
     torch.testing.assert_close(now.act(obs), policy.act(obs))
 
 

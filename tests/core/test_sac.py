@@ -14,7 +14,7 @@ from offairl_lite.core.models import Models
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import gaussian_log_density
 from offairl_lite.core.replay import Batch, Replay
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import (
     ACTOR_DELAY,
     SAC,
@@ -34,7 +34,7 @@ both = pytest.mark.parametrize("learner", [SAC, TD3])
 
 def scaling(seeds, absorbing="none"):
     """Scale every number but the indicator of the absorbing state, if there is one."""
-    mean, std = Streams(seeds).normal(1, OBS), 1 + Streams(seeds).uniform(1, OBS)
+    mean, std = Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS)
     if absorbing != "none":
         mean[..., -1], std[..., -1] = 0, 1
     return Normaliser(mean, std)
@@ -48,20 +48,20 @@ def make(learner=SAC, seeds=(0, 1), absorbing="none", settings=None, **changes):
     given = {name: x for name, x in changes.items() if name in kind.__dataclass_fields__}
     config = kind(**{"hidden": (8, 8), "learning_rate": RATE} | given)
     normaliser = scaling(seeds, absorbing)
-    made = learner(config, OBS, ACT, Streams(seeds), normaliser, absorbing)
-    made.target_params = made.critic.init(Streams([50 + seed for seed in seeds]))
+    made = learner(config, OBS, ACT, Rng(seeds), normaliser, absorbing)
+    made.target_params = made.critic.init(Rng([50 + seed for seed in seeds]))
     return made
 
 
 def make_models(seeds=(0, 1), **changes):
     """The models of a whole run, which contain such a learner."""
     config = CONFIG.change(**changes)
-    return Models(config, (OBS, ACT), Streams(seeds), scaling(seeds), Execution())
+    return Models(config, (OBS, ACT), Rng(seeds), scaling(seeds), Execution())
 
 
 def data(seeds=(0, 1)):
     """A batch, rewards, r(s_a) and noise: the arguments of `update`."""
-    streams = Streams([100 + seed for seed in seeds])
+    streams = Rng([100 + seed for seed in seeds])
     obs, u, next_obs = (streams.normal(B, n) for n in (OBS, ACT, OBS))
     reward = streams.normal(B)
     terminated = torch.zeros_like(reward)
@@ -293,7 +293,7 @@ def test_the_actor_climbs_the_soft_value():
 @both
 def test_targets_begin_as_copies(learner):
     config = {SAC: SACConfig, TD3: TD3Config}[learner](hidden=(8,))
-    made = learner(config, 3, 2, Streams((0, 1)), Normaliser.identity(2, 3))
+    made = learner(config, 3, 2, Rng((0, 1)), Normaliser.identity(2, 3))
     pairs = [(made.target_params, made.critic_params)]
     if learner is TD3:
         pairs.append((made.target_actor_params, made.actor_params))
@@ -357,7 +357,7 @@ def test_every_second_update_is_the_actor_s_turn_from_one_block_to_the_next(lear
     models.update_learner = recorded
     done = 0
     for updates in (3, 4, 1):
-        fit_learner(models, replay, Streams((0, 1)), updates, 2, lambda batch: batch.reward, done)
+        fit_learner(models, replay, Rng((0, 1)), updates, 2, lambda batch: batch.reward, done)
         done += updates
     assert turns == [i % ACTOR_DELAY == 0 for i in range(1, 9)]
     assert ACTOR_DELAY == 2
@@ -555,7 +555,7 @@ def test_a_member_s_data_changes_no_other_member(learner):
 @pytest.mark.parametrize("there", [True, False])
 def test_the_temperature_does_not_look_at_the_absorbing_state(there):
     config = SACConfig(temperature=None, hidden=(8,))
-    streams = Streams((0,))
+    streams = Rng((0,))
     sac = SAC(config, 3, 2, streams, Normaliser.identity(1, 3), "bootstrap")
     obs = streams.normal(6, 3)
     obs = absorbing_state(obs) if there else obs

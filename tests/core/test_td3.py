@@ -7,7 +7,7 @@ import torch
 from test_sac import BY_HAND, B, constant_policy, data, linear_critics, make, update
 
 from offairl_lite.core.networks import BETAS
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.td3 import TD3, smoothed_action
 
 
@@ -63,7 +63,7 @@ def test_the_actor_s_gradient_by_hand():
 
 def test_the_critic_s_target_is_that_of_the_equation():
     learner, (batch, reward, noise) = make(TD3), data()
-    learner.target_actor_params = learner.actor.init(Streams((8, 9)))
+    learner.target_actor_params = learner.actor.init(Rng((8, 9)))
     obs, next_obs = learner.normaliser(batch.obs), learner.normaliser(batch.next_obs)
     mode = torch.tanh(learner.actor.net(learner.target_actor_params, next_obs))
     action = (mode + (0.2 * noise[0]).clamp(-0.5, 0.5)).clamp(-1, 1)

@@ -19,7 +19,7 @@ from offairl_lite.core.collector import Collector
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
@@ -104,7 +104,7 @@ def test_demos_makes_and_describes_demonstrations(capsys, shipped_experts):
 
 def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewhere, minari_folder):
     actor = SquashedGaussian(3, 1, (8,))
-    params, normaliser = actor.init(Streams((0, 1))), Normaliser.identity(2, 3)
+    params, normaliser = actor.init(Rng((0, 1))), Normaliser.identity(2, 3)
     Policy("Pendulum-v1", actor, params, normaliser).save("mine/policy.safetensors")
     line = "demos Pendulum-v1 --trajectories 3"
     message = failure(f"{line} --policy mine", capsys)
@@ -486,7 +486,7 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
     try:
         offairl(f"run imitate --reward environment --env-id arm:Arm-v0 {small} --out one")
         assert read("one").config.env_id == "arm:Arm-v0"
-        learned = net.init(Streams((0, 1))), Normaliser.identity(2, 3)
+        learned = net.init(Rng((0, 1))), Normaliser.identity(2, 3)
         Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
         line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen-reward one {small}"
         offairl(f"{line} --pretrained policy --pretrained-policy one --out two --processes 2")

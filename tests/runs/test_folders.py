@@ -25,7 +25,7 @@ from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, sav
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import Demonstrations, load
 from offairl_lite.runs import checkpoints, folders, inputs, provenance, records, worker
@@ -330,7 +330,7 @@ def test_seeds_are_added_beside_those_there(plain, tmp_path):
     both, parts = records.read(folder), [records.read(part) for part in (first, alone)]
     assert both.seeds == (3, 7, 5, 6)
     np.testing.assert_array_equal(both.returns, np.concatenate([part.returns for part in parts]))
-    obs = Streams(both.seeds).normal(5, 3)
+    obs = Rng(both.seeds).normal(5, 3)
     acts = [part.policy.act(obs[i : i + 2]) for i, part in zip((0, 2), parts, strict=True)]
     assert torch.equal(both.policy.act(obs), torch.cat(acts))
     order = [(row.step, row.seed) for row in both.rows]
@@ -366,14 +366,14 @@ def test_an_extension_that_makes_no_sense_is_refused(interrupted, folder):
 
 def frozen_reward(members):
     net = StackedMLP((3, 4, 1), "tanh")
-    params = net.init(Streams(range(members)))
+    params = net.init(Rng(range(members)))
     return Reward(MAZE, net, True, params, Normaliser.identity(members, 3))
 
 
 def policy(config):
     """A policy that has not learned anything, of two members."""
     actor = make_actor(config.learner, 3, 2)
-    return Policy(MAZE, actor, actor.init(Streams((0, 1))), Normaliser.identity(2, 3))
+    return Policy(MAZE, actor, actor.init(Rng((0, 1))), Normaliser.identity(2, 3))
 
 
 def inherited(config):

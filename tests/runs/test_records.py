@@ -12,7 +12,7 @@ from offairl_lite.core.loop import Row, train
 from offairl_lite.core.networks import Normaliser, save_weights
 from offairl_lite.core.policies import Deterministic, Policy
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.runs.records import (
     HEADER,
     METRICS,
@@ -170,7 +170,7 @@ def test_a_file_is_the_old_one_or_the_new(tmp_path):
 
 def policy_parts():
     actor = Deterministic(3, 2, (4,))
-    return actor, actor.init(Streams(SEEDS)), Normaliser.identity(2, 3)
+    return actor, actor.init(Rng(SEEDS)), Normaliser.identity(2, 3)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import torch
 from offairl_lite import demonstrations
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.rng import Streams
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import load
 from offairl_lite.runs import shipping
@@ -31,7 +31,7 @@ def noted():
 
 def test_the_best_members_are_shipped_in_their_order(maze_experts, minari_folder, caplog):
     experts = maze_experts.member(4, 0, 2)
-    random = experts.actor.init(Streams((0,)))
+    random = experts.actor.init(Rng((0,)))
     mixed = Policy(
         MAZE,
         experts.actor,
