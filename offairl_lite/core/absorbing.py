@@ -26,7 +26,10 @@ def extend(obs: Float[Tensor, "*batch O"]) -> Float[Tensor, "*batch O+1"]:
 
 
 def is_absorbing(obs: Float[Tensor, "*batch O+1"]) -> Bool[Tensor, "*batch"]:
-    """Tell which observations are the absorbing state."""
+    """Tell which observations are the absorbing state.
+
+    Scaled observations will do as well: no normaliser scales the indicator (`even_normaliser`).
+    """
     return obs[..., -1] == 1
 
 
@@ -69,7 +72,8 @@ def hold_still(obs: Float[Tensor, "*batch O+1"], *decided: Tensor) -> tuple[Tens
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 
-    Nothing is terminated afterwards: the episode goes on, if only in one place.
+    Nothing is terminated afterwards, so the critics' target bootstraps from the value of the
+    absorbing state: this is the whole of `bootstrap`.
     """
     next_obs = extend(batch.next_obs)
     ended = batch.terminated.unsqueeze(-1) == 1

@@ -1,9 +1,9 @@
 """Algorithm 1 of the paper: the one training loop.
 
-Collect an episode; train the discriminator once for each of its steps; then the learner as often,
-on the reward as it now stands. With the task's own reward, or a frozen one, the discriminator's
-part falls away and the rest is the same. So it is with PPO, but that it learns from the block of
-steps just taken, where the others learn from replay.
+Act for a block of steps, an episode for instance; update the discriminator once for each step; then
+update the learner equally often, on the current reward. With the task's own reward, or a frozen
+one, the discriminator update is skipped. PPO uses the same loop, but learns from the latest block
+instead of replay.
 """
 
 import operator
@@ -38,7 +38,7 @@ from offairl_lite.demonstrations import Demonstrations
 
 
 class Trainer:
-    """One run: `run` is Algorithm 1, and between its yields `state` is all there is.
+    """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
     Args:
         config: what to do.
@@ -49,7 +49,7 @@ class Trainer:
         guide: needed where `start_steps` is not 0: as many members as seeds.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
-        memory: steps by which the replay file can be taken back, see `replay.Replay`.
+        memory: how many steps the replay file can be rewound, to a checkpoint.
 
     Raises:
         ValueError: an input that `config` needs is missing, or does not fit the task.
@@ -102,17 +102,20 @@ class Trainer:
         self.metrics: dict[str, Float[Tensor, "S"]] = {}
 
     def run(self) -> Iterator[list[Row]]:
-        """Algorithm 1, from wherever the state is to the end.
+        """Algorithm 1, from the current state to `total_steps`.
+
+        Each pass first settles what the steps so far have made due, and then acts once: so a run
+        that is resumed begins with what its checkpoint still owes.
 
         Yields:
             After each block of steps an empty list, and after each evaluation a row for each
-            member. Between two of these the state can be kept, see `state`.
+            member. At these points the state can be kept, see `state`.
 
         Raises:
             FloatingPointError: every member has diverged.
         """
         for step in range(self.steps, self.schedule.total_steps + 1):
-            # After the warm-up it is known how to scale what the networks see.
+            # The warm-up's observations fix their scaling.
             if step == self.schedule.warmup_steps and self.models is None:
                 self.build(self.normaliser())
             if self.models is not None:
@@ -140,19 +143,14 @@ class Trainer:
 
     @property
     def trained(self) -> int:
-        """Steps that have been trained on."""
+        """Steps that have been trained on, or are just being trained on."""
         return self.block_start - sum(self.blocks_due)
 
     @property
     def finished(self) -> bool:
-        """Whether all is done."""
+        """Whether all steps, updates and evaluations are done."""
         at_end = self.steps >= self.schedule.total_steps
         return at_end and not self.blocks_due and not self.evaluation_is_due(self.steps)
-
-    @property
-    def diverged(self) -> dict[int, str]:
-        """Why members were given up, by seed."""
-        return self.members.diverged
 
     @property
     def policy(self) -> Policy | None:
@@ -170,10 +168,10 @@ class Trainer:
         return self.models is not None and due and self.evaluated < step
 
     def block_ends(self, ended: np.ndarray) -> bool:
-        """Whether a block of steps is over, given whose episodes have ended.
+        """Whether a block of steps is over; `ended` says which members' episodes just ended.
 
         Raises:
-            ValueError: a block cannot be told by the ends of episodes.
+            ValueError: episodes do not end where a block should.
         """
         if self.horizon > 1 and (ended != (self.steps % self.horizon == 0)).any():
             raise ValueError(
@@ -241,7 +239,7 @@ class Trainer:
             done = self.trained - steps
             self.metrics |= fit_learner(models, replay, rng, steps, batch_size, reward, done)
         for name, diverged in models.not_finite().items():
-            # Those that were given up before have been trained along: they are zeroed again.
+            # Members that were given up still receive updates, so they are zeroed again.
             lost = diverged | self.members.lost.to(self.device)
             self.members.give_up(lost, self.steps, name, models.remedy)
 
@@ -265,7 +263,7 @@ class Trainer:
         return tensors
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Go on, exactly, from a state of a trainer of this run, whose replay's file this one has.
+        """Restore a state of the same run; its replay file must be this trainer's.
 
         Raises:
             ValueError: the state is of something else.
@@ -285,12 +283,12 @@ class Trainer:
             raise ValueError(f"not a state of this run: {error}") from error
 
     def close(self) -> None:
-        """Close the environments; a trainer steps no more."""
+        """Close the environments; the trainer cannot be used afterwards."""
         self.collector.env.close()
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:
-    """Return the places that a member's replay needs: `memory` steps more than it looks back on."""
+    """Return the rows to allocate for a member: `replay_size` and room to rewind."""
     # A terminated episode may add a row of the absorbing state.
     rows = 1 if schedule.absorbing == "none" else 2
     return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)
@@ -306,7 +304,7 @@ def complete(
     progress: bool = True,
     on_advance: Callable[[list[Row]], None] | None = None,
 ) -> Run:
-    """Take a trainer to its end.
+    """Run a trainer to completion.
 
     Args:
         trainer: a new one, or one that was restored.
@@ -317,7 +315,7 @@ def complete(
     Raises:
         FloatingPointError: every member has diverged.
     """
-    run = Run(trainer.config, trainer.seeds, diverged=trainer.diverged)
+    run = Run(trainer.config, trainer.seeds, diverged=trainer.members.diverged)
     with tqdm(
         total=trainer.config.total_steps, initial=trainer.trained, unit="step", disable=not progress
     ) as bar:
@@ -367,7 +365,7 @@ def train(
         execution: where and how it is computed.
         progress: whether to show a bar.
         on_evaluation: called after each evaluation with a row for each member, for logging
-            (`logs.TensorBoard` is one such); to end early with what is there, it raises
+            (`runs.tensorboard.TensorBoard` is one such); to end early with what is there, it raises
             StopIteration.
 
     Raises:

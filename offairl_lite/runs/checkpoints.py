@@ -45,7 +45,7 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
         "replay.f32": replay.stat().st_size,
         "ends": _ends(trainer.collector.replay),
         "wall_s": wall_s,
-        "diverged": trainer.diverged,
+        "diverged": trainer.members.diverged,
     }
     about["digest"] = inputs.digest(state, about)
     path = folder / SUBFOLDER / "checkpoint.safetensors"
@@ -109,7 +109,7 @@ def restore(
     if about["ends"] != _ends(trainer.collector.replay):
         path = folder / SUBFOLDER / "replay.f32"
         raise ValueError(_damaged(folder, path, "it is not as it was at the checkpoint"))
-    trainer.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
+    trainer.members.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
     os.truncate(folder / "curve.csv", about["curve.csv"])
 
 

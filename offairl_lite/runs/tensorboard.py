@@ -14,7 +14,7 @@ POLL_S = 10.0
 
 
 class TensorBoard:
-    """Writes each evaluation for TensorBoard: what `imitate.train` takes as `on_evaluation`.
+    """Writes each evaluation for TensorBoard: what `core.loop.train` takes as `on_evaluation`.
 
     Every seed is a run of its own, so that TensorBoard draws them in one figure. Returns are under
     `return/`, diagnostics of the last update under `update/`. An evaluation that was written before

@@ -182,7 +182,7 @@ class _Worker:
             "state": state,
             "step": self.step,
             "wall_s": round(time.monotonic() - self.start, 1),
-            "diverged": self.trainer.diverged,
+            "diverged": self.trainer.members.diverged,
         }
         path = self.folder / "run.json"
         write_json(path, read_json(path) | status)
