@@ -24,8 +24,7 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.rollouts import Episodes, require_actions, rollout
 from offairl_lite.minari_storage import Recording, write
 
-EXPERTS = Path(__file__).parent / "experts"
-"""The folder of the shipped experts."""
+EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
 PURPOSE = 1
 """Makes the episodes of a data set differ from those of evaluations (`rollouts.episode_seeds`)."""
 BLOCK = 10

@@ -8,7 +8,7 @@ optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is fille
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from offairl_lite.config.groups import (
@@ -54,9 +54,9 @@ class Config:
             for the task's own (plain reinforcement learning).
     """
 
-    schedule: Schedule = Schedule()  # noqa: RUF009
-    learner: LearnerConfig = SACConfig()  # noqa: RUF009
-    discriminator: DiscriminatorConfig | Frozen | None = DiscriminatorConfig()  # noqa: RUF009
+    schedule: Schedule = field(default_factory=Schedule)
+    learner: LearnerConfig = field(default_factory=SACConfig)
+    discriminator: DiscriminatorConfig | Frozen | None = field(default_factory=DiscriminatorConfig)
 
     def __post_init__(self) -> None:
         schedule, reward = self.schedule, self.reward
@@ -178,7 +178,7 @@ class Config:
         reward = checked("reward", flat.pop("reward", "implementation-4"), RewardName)
         learner = _kind("learner", flat.pop("learner", "sac"), LearnerConfig)
         ablation = flat.pop("ablation", None)
-        discriminator = _kind("ablation", ablation or "", DiscriminatorConfig)
+        discriminator = _kind("ablation", ablation, DiscriminatorConfig)
         learned = reward not in ("environment", "frozen")
         if ablation is not None and not learned:
             raise ValueError(
@@ -228,7 +228,7 @@ def used_settings(learner: str, reward: str, ablation: str | None = None) -> set
     """
     groups, names = [Schedule, _kind("learner", learner, LearnerConfig)], {"reward", "learner"}
     if reward not in ("environment", "frozen"):
-        groups.append(_kind("ablation", ablation or "", DiscriminatorConfig))
+        groups.append(_kind("ablation", ablation, DiscriminatorConfig))
         names.add("ablation")
     for group in groups:
         names |= {group.renamed.get(name, name) for name in settings(group)}
@@ -256,13 +256,11 @@ def flat_settings() -> dict[str, tuple[Any, Any, str]]:
     return found
 
 
-def _kind(name: str, kind: str, base: type[Checked]) -> type[Checked]:
-    there = {k: t for k, t in kinds(base).items() if k or base is DiscriminatorConfig}
-    if base is Schedule:
-        return Schedule
-    if kind not in there:
-        names = ", ".join(repr(k or None) for k in there)
-        raise ValueError(f"{name} is {kind!r}; expected one of {names}")
+def _kind(name: str, kind: str | None, base: type[Checked]) -> type[Checked]:
+    """Return the type of a group by its kind; None is the kind of what is no ablation."""
+    there = {k or None: t for k, t in kinds(base).items() if k or base is DiscriminatorConfig}
+    if not isinstance(kind, str | None) or kind not in there:
+        raise ValueError(f"{name} is {kind!r}; expected one of {', '.join(map(repr, there))}")
     return there[kind]
 
 

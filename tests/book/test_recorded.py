@@ -285,7 +285,7 @@ def test_the_chapter_names_every_run_with_its_record(book):
     assert set(RUNS) <= set(said)
     for run in RUNS:
         scale = next(s for s in ("full", "demo") if record(run, s) in FOLDERS)
-        size = RunSpec.read(HOME / record(run, scale)).config.learner.hidden
+        size = RunSpec.read(run_folders(HOME / record(run, scale))[0]).config.learner.hidden
         kind = "paper-size" if size == CORRECTED.learner.hidden else "small"
         assert said[run].startswith(f"{kind} networks, "), run
 
