@@ -246,13 +246,12 @@ def flat_settings() -> dict[str, tuple[Any, Any, str]]:
     }
     for base, group in ((Schedule, "schedule"), (LearnerConfig, "learner")):
         for kind in kinds(base).values():
-            for field in fields(kind):
-                hint = settings(kind)[field.name]
-                found.setdefault(field.name, (hint, field.default, group))
+            for one in fields(kind):
+                found.setdefault(one.name, (settings(kind)[one.name], one.default, group))
     for kind in kinds(DiscriminatorConfig).values():
-        for field in fields(kind):
-            name = kind.renamed.get(field.name, field.name)
-            found.setdefault(name, (settings(kind)[field.name], field.default, "discriminator"))
+        for one in fields(kind):
+            name = kind.renamed.get(one.name, one.name)
+            found.setdefault(name, (settings(kind)[one.name], one.default, "discriminator"))
     return found
 
 
