@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from offairl_lite import demonstrations
+from offairl_lite.analysis.statistics import interquartile_mean
 from offairl_lite.config import flat_settings
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import bench, cli, launch, records
@@ -220,6 +221,17 @@ def test_both_robots_are_learned_and_dac_is_behind_on_one():
     dac = records.read(RECORDS / "what-decides-demo/Walker2d-dac-fixed-short")
     assert ((dac.returns[:, -1] > 1_000) & (dac.returns[:, -1] < 1_200)).sum() == 4
     assert (records.read(RECORDS / RECIPE["Walker2d"]).returns[:, -1] > 2_000).all()
+
+
+def test_a_third_robot_is_learned_and_dac_is_level_with_it():
+    noted = records.read_json(demonstrations.EXPERTS / "HalfCheetah.json")["demonstrated"][0]
+    recipe, dac = (
+        records.read(RECORDS / f"what-decides-demo/HalfCheetah-{loss}-fixed-short").returns[:, -1]
+        for loss in ("released", "dac")
+    )
+    assert len(recipe) == 5
+    assert (recipe > 0.45 * noted).all()
+    assert 0.95 < interquartile_mean(recipe) / interquartile_mean(dac) < 1.05
 
 
 def wall(name):
