@@ -22,7 +22,7 @@ from paper_figures import FIGURES, record
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "book/records"
-CHAPTER = "10_results"
+CHAPTER = "11_results"
 PARTS = sorted(path.parent.relative_to(HOME).as_posix() for path in HOME.rglob("config.json"))
 # The seeds of some runs were trained by several processes.
 FOLDERS = sorted({part.partition("/seeds-")[0] for part in PARTS})
