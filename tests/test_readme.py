@@ -1,30 +1,73 @@
-"""What the README and the front page tell readers to type, with runs that take a second."""
+"""What the README and the front page tell readers to type."""
 
+import os
 import re
+import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from offairl_lite import experiments
-from offairl_lite.runs import cli
+from offairl_lite.runs import cli, records
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", "book/index.md", "book/running_at_scale.md", "CONTRIBUTING.md"]
 
 
-def blocks(page):
-    """All Python of a page, which is one program: later blocks use names of earlier ones."""
-    return "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL))
+def steps(text):
+    """Every Python block and every `offairl` line of a page, in order, with the text before it."""
+    pattern = r"```python\n(?P<python>.*?)```|^ {4}(?P<command>offairl [^\n]*)$"
+    end = 0
+    for match in re.finditer(pattern, text, re.DOTALL | re.MULTILINE):
+        before, end = text[end : match.start()], match.end()
+        yield match.lastgroup, re.sub(r"\s+#.*", "", match[match.lastgroup]), before
 
 
-@pytest.mark.parametrize("page", ["README.md", "book/index.md"])
-def test_python_runs(page, tiny, write_dataset, shipped_experts, tmp_path, monkeypatch):
-    write_dataset("pendulum/mine-v0", episodes=50)
+def test_steps_are_found_in_order():
+    text = "Do `this`:\n```python\nx = 1\n```\n\n    offairl list  # all\n    offairl bench\n"
+    assert [(kind, code) for kind, code, _ in steps(text)] == [
+        ("python", "x = 1\n"),
+        ("command", "offairl list"),
+        ("command", "offairl bench"),
+    ]
+
+
+def test_the_readme_from_an_empty_folder(tmp_path):
+    """Everything it says to type, literally and in order, and the returns that it promises."""
+    bin_ = Path(sys.executable).parent
+    env = {
+        **os.environ,
+        "PATH": f"{bin_}{os.pathsep}{os.environ['PATH']}",
+        "MINARI_DATASETS_PATH": str(tmp_path / "minari"),
+        "OMP_NUM_THREADS": "1",
+    }
+    printed = {}
+    for kind, code, before in steps((ROOT / "README.md").read_text()):
+        saved = re.search(r"Save it as `(\S+)`:\s*$", before)
+        if saved:
+            (tmp_path / saved[1]).write_text(code)
+            continue
+        command = [sys.executable, "-c", code] if kind == "python" else shlex.split(code)
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        assert done.returncode == 0, f"{code}\n{done.stderr}"
+        printed[code] = done.stdout
+    assert (tmp_path / "reward.safetensors").exists()
+    (old,) = (text for code, text in printed.items() if code.startswith("offairl demos my_robot:S"))
+    assert float(re.search(r"return ([-−.\d]+)", old)[1]) < -120
+    final = records.read(tmp_path / "runs/swapped").returns[:, -1]
+    assert ((final > -9) & (final < -4)).all()
+
+
+def test_the_front_page_runs(tiny, shipped_experts, tmp_path, monkeypatch):
+    """Its lines are those of the README, with a run that takes a second."""
     short = replace(experiments.find("imitate"), configs={"demo": tiny})
     monkeypatch.setattr(experiments, "find", lambda name: short)
     monkeypatch.chdir(tmp_path)
-    exec(blocks(page), {})
+    (code,) = (code for kind, code, _ in steps((ROOT / "book/index.md").read_text()))
+    exec(code, {})
     assert (tmp_path / "reward.safetensors").exists()
 
 
