@@ -1,0 +1,122 @@
+"""The form of a chapter: its length, its cells, its captions, and the program that it writes."""
+
+import ast
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CHAPTERS = sorted((ROOT / "book").glob("[0-9]*.ipynb"))
+NOTES = sorted((ROOT / "book/notes").glob("*.ipynb"))
+PLAIN = (ROOT / "offairl_lite/plain.py").read_text("utf-8")
+FOLDED = {"hide-input", "remove-input", "hide-cell", "remove-cell"}
+SOLUTION = re.compile(r"^(:::+|```+)\{solution\}.*?^\1\s*$", re.DOTALL | re.MULTILINE)
+INSIDE = re.compile(r"\{solution-start\}")
+
+
+def cells(path):
+    """The cells outside the solutions, each with its visible code, or None."""
+    inside = False
+    for cell in nbformat.read(path, as_version=4).cells:
+        inside = inside or bool(INSIDE.search(cell.source))
+        if not inside:
+            folded = FOLDED & set(cell.metadata.get("tags", []))
+            visible = cell.cell_type == "code" and not folded
+            yield cell, cell.source if visible else None
+        inside = inside and "{solution-end}" not in cell.source
+
+
+def definitions(source):
+    """The text of every function and class at the top of a program, with its decorators."""
+    lines = source.splitlines()
+    for node in ast.parse(re.sub(r"(?m)^[%!].*$", "", source)).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            yield node.name, "\n".join(lines[first - 1 : node.end_lineno])
+
+
+def names(source):
+    """The names that a program defines or assigns at its top."""
+    for node in ast.parse(re.sub(r"(?m)^[%!].*$", "", source)).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign):
+            for target in node.targets:
+                yield from (n.id for n in ast.walk(target) if isinstance(n, ast.Name))
+
+
+WRITTEN = dict(definitions(PLAIN))
+
+
+def chapter_of(name):
+    """The chapter whose comment is the last above a definition in `plain.py`."""
+    above = PLAIN[: PLAIN.index(WRITTEN[name])]
+    return int(re.findall(r"^# Chapter (\d)", above, re.MULTILINE)[-1])
+
+
+def test_definitions_are_found_with_their_decorators():
+    source = "%config x\n@d\ndef f(x):\n    return x\n\n\nclass A:\n    y = 1\n"
+    assert dict(definitions(source)) == {
+        "f": "@d\ndef f(x):\n    return x",
+        "A": "class A:\n    y = 1",
+    }
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_plain_program_is_written_by_the_chapters(name):
+    """Each function and class is defined in a visible cell of its chapter, in the same words."""
+    (path,) = (ROOT / "book").glob(f"{chapter_of(name):02}_*.ipynb")
+    found = [
+        text
+        for _, source in cells(path)
+        if source
+        for other, text in definitions(source)
+        if other == name
+    ]
+    assert found == [WRITTEN[name]]
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_a_chapter_can_be_read_in_half_an_hour(path):
+    """At most 3,000 words, 250 lines of visible code, and 20 lines a cell.
+
+    Formulas count as words; solutions do not. A cell that writes a part of `plain.py` may be longer.
+    """
+    words = lines = 0
+    for cell, source in cells(path):
+        if cell.cell_type == "markdown":
+            words += len(SOLUTION.sub("", cell.source).split())
+        elif source is not None:
+            count = len(source.splitlines())
+            lines += count
+            assert count <= 20 or set(names(source)) & set(WRITTEN), cell.id
+    assert words <= 3000
+    assert lines <= 250
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_a_chapter_says_where_it_breaks_in_few_words(path):
+    text = "\n".join(cell.source for cell, _ in cells(path) if cell.cell_type == "markdown")
+    sections = re.split(r"(?m)^## ", text)[1:]
+    titles = [section.partition("\n")[0] for section in sections]
+    assert titles[-1] == "Summary"
+    (breaks,) = (section for section in sections if section.startswith("Where it breaks"))
+    assert len(breaks.split()) <= 320
+
+
+@pytest.mark.parametrize("path", CHAPTERS + NOTES, ids=lambda path: path.stem)
+def test_a_caption_begins_with_its_message(path):
+    for cell, _ in cells(path):
+        figure = cell.metadata.get("mystnb", {}).get("figure")
+        assert not figure or re.match(r"\*\*[^*]+[.?!]\*\*", figure["caption"]), cell.id
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_the_first_screen_shows_what_the_chapter_achieves(path):
+    """A film or a figure comes before the first section."""
+    for cell, _ in cells(path):
+        if cell.cell_type == "code" and re.search(r"films\.show\(|plt\.show\(", cell.source):
+            return
+        assert not re.search(r"(?m)^## ", cell.source), "the first section comes before a picture"
