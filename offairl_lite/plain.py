@@ -102,7 +102,7 @@ def airl_loss(
     mix: Float[Tensor, "B 1"],  # where between both the penalty is taken
     penalty_weight: float = 10.0,
 ) -> Scalar:
-    """Return the cross-entropy of logits f - log π plus the penalty of f."""
+    """Return the cross-entropy of f - log π, plus the penalty of f."""
     expert_logit = f(expert.obs, expert.next_obs) - log_probs[0]
     policy_logit = f(policy.obs, policy.next_obs) - log_probs[1]
     obs = torch.lerp(policy.obs, expert.obs, mix)
