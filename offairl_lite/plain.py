@@ -182,7 +182,11 @@ def actor_loss(log_prob: Vector, q: TwinQ, alpha: Scalar) -> Scalar:
     return (alpha * log_prob - q.amin(0)).mean()
 
 
-def temperature_loss(alpha: Scalar, log_prob: Vector, target_entropy: float) -> Scalar:
+def temperature_loss(
+    alpha: Scalar,
+    log_prob: Vector,
+    target_entropy: float,
+) -> Scalar:
     """Return J_α = -E[α (log π + H̄)], by which the entropy becomes H̄."""
     return -(alpha * (log_prob.detach() + target_entropy)).mean()
 
