@@ -71,12 +71,8 @@ def curve(
 def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str = "--") -> None:
     """Draw a horizontal reference line with a label at its right end."""
     ax.axhline(value, color=color, linestyle=linestyle, linewidth=1.2)
-    place: Any = {
-        "xycoords": ("axes fraction", "data"),
-        "xytext": (0, 3),
-        "textcoords": "offset points",
-    }
-    ax.annotate(label, (1, value), ha="right", color=color, fontsize="small", **place)
+    at: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    ax.annotate(label, (1, value), (0, 3), ha="right", color=color, fontsize="small", **at)
 
 
 class _Walls(LineCollection):

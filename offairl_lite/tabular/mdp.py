@@ -90,9 +90,8 @@ class MDP:
         reward = np.asarray(reward, dtype=float)
         s, a = self.num_states, self.num_actions
         if reward.shape not in ((s,), (s, a), (s, a, s)):
-            raise ValueError(
-                f"reward must have shape {(s,)}, {(s, a)} or {(s, a, s)}, not {reward.shape}"
-            )
+            wanted = f"{(s,)}, {(s, a)} or {(s, a, s)}"
+            raise ValueError(f"reward must have shape {wanted}, not {reward.shape}")
         if not np.isfinite(reward).all():
             raise ValueError("reward must be finite; to forbid an action, give it a large cost")
         if reward.ndim == 3:

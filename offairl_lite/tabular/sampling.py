@@ -78,14 +78,14 @@ def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
         if low < 0 or high >= bound:
             found = f"they are from {low} to {high}"
             raise ValueError(f"a {name} must be from 0 to {bound - 1}, but {found}")
-    for t in range(length):
-        rows = mdp.transition[states[:, t] * mdp.num_actions + actions[:, t]].toarray()
-        for n in np.flatnonzero(rows[np.arange(len(rows)), states[:, t + 1]] == 0):
-            raise ValueError(
-                f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
-                f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that "
-                "it was recorded in this process"
-            )
+    pairs = states[:, :-1] * mdp.num_actions + actions
+    chance = mdp.transition[pairs.ravel(), states[:, 1:].ravel()]
+    for n, t in np.argwhere(chance.reshape(actions.shape) == 0):
+        raise ValueError(
+            f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
+            f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that it "
+            "was recorded in this process"
+        )
     for n in np.flatnonzero(mdp.initial[states[:, 0]] == 0):
         raise ValueError(
             f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
