@@ -124,7 +124,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         before, running = self._physics, np.flatnonzero(~idle)
         self._ctrl[running] = actions[running]
         self._batch.step(running, nstep=self.task.frame_skip)
-        self._measure(running, self._contact_forces(running))
+        self._measure(running, stepped=True)
         after = self._physics
         self._clock[running] += 1
 
@@ -188,30 +188,24 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             self._qpos[member] += position
             self._qvel[member] += velocity
         self._batch.forward(members)
-        self._measure(members, 0.0)
+        self._measure(members, stepped=False)
         self._clock[members] = 0
         self._idle[members] = False
 
-    def _contact_forces(self, members: np.ndarray) -> np.ndarray:
-        """Return the clipped external forces on the bodies of some members, (M, nbody or 0, 6)."""
-        forces = np.zeros((len(members), *self._physics.contact.shape[1:]))
-        if self.task.contact_forces:
-            for row, member in zip(forces, members, strict=True):
-                data = self._batch.get_data(member, self._scratch)
-                mujoco.mj_rnePostConstraint(self._model, data)
-                row[:] = np.clip(data.cfrc_ext, -1, 1)
-        return forces
-
-    def _measure(self, moved: np.ndarray, contact: np.ndarray | float) -> None:
-        """Update physics and observations after some members have moved.
+    def _measure(self, moved: np.ndarray, stepped: bool) -> None:
+        """Update physics and observations after some members have been stepped or reset.
 
         Torso and contact are by-products of a step and not part of MuJoCo's state: for the other
         members they stay as they were.
         """
-        torso, contacts = self._physics.torso.copy(), self._physics.contact.copy()
+        torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
         torso[moved] = self._xpos[moved, 1, :2]
-        contacts[moved] = contact
-        self._observe(torso, contacts)
+        contact[moved] = 0.0
+        for member in moved if stepped and self.task.contact_forces else ():
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_rnePostConstraint(self._model, data)
+            contact[member] = np.clip(data.cfrc_ext, -1, 1)
+        self._observe(torso, contact)
 
     def _observe(self, torso: np.ndarray, contact: np.ndarray) -> None:
         self._physics = Physics(self._qpos.copy(), self._qvel.copy(), torso, contact)
