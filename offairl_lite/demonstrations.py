@@ -77,11 +77,8 @@ class Demonstrations:
             every: k. The first transition is drawn from a trajectory's first k.
             seed: of these draws; a trajectory's draw does not depend on which others are taken.
         """
-        if trajectories is None:
-            trajectories = len(self)
-        chosen = [
-            *(range(trajectories) if isinstance(trajectories, int | np.integer) else trajectories)
-        ]
+        count = len(self) if trajectories is None else trajectories
+        chosen = [*(range(count) if isinstance(count, int | np.integer) else count)]
         if not chosen or len({*chosen} & {*range(len(self))}) < len(chosen):
             raise ValueError(
                 f"trajectories is {trajectories}; there are {len(self)}: give a number from 1 to "
@@ -150,10 +147,9 @@ def load(
         experts: how many of the shipped experts demonstrate, from the first on; by default all.
 
     Raises:
-        FileNotFoundError: there is no such data set, and no expert to make it.
+        FileNotFoundError: there is no such data set, or no expert to make it.
         OSError: Minari's local storage cannot be used.
-        ValueError: the data set does not fit the task, the task is unknown, or a number is out of
-            range.
+        ValueError: the data set does not fit the task, or an argument is not valid.
     """
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
@@ -215,17 +211,10 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
 def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> Episodes:
     """Write a Minari data set of a policy's first episodes, divided evenly among its members.
 
-    Actions are sampled, as maximum-entropy experts act. With n members, episode `i` is episode
-    `i // n` of member `i % n`. Errors are those of `minari_storage.write`.
-
-    Args:
-        policy: n members: experts, or the seeds of a run of your own.
-        env_id: the task.
-        trajectories: number of episodes.
-        dataset_id: a new name, such as `own/trained-v0`.
-
-    Returns:
-        The first `BLOCK` episodes of each member.
+    Actions are sampled, as maximum-entropy experts act. With n members, experts or the seeds of a
+    run of your own, episode `i` is episode `i // n` of member `i % n`. The name must be new, such
+    as `own/trained-v0`; errors are those of `minari_storage.write`. Returns the first `BLOCK`
+    episodes of each member.
     """
     # Everything that can go wrong is checked before minutes of work.
     if trajectories < 1:
@@ -264,13 +253,10 @@ def fingerprint(made: Episodes, env_id: str) -> dict[str, Any]:
     These are SHA-256 of the `experts`' file and of each expert's `demonstrations`, as
     `first_episodes` made them, their `mean_returns`, and the version of `mujoco`.
     """
-    digests = []
-    for member, running in enumerate(made.running):
-        parts = (made.obs, made.action, made.next_obs, made.reward)
-        digests.append(_digest(*(part[member][running] for part in parts)))
+    members = zip(made.obs, made.action, made.next_obs, made.reward, made.running, strict=True)
     return {
         "experts": _digest(expert_file(env_id).read_bytes()),
-        "demonstrations": digests,
+        "demonstrations": [_digest(*(p[running] for p in parts)) for *parts, running in members],
         "mean_returns": [round(float(mean), 4) for mean in made.returns.mean(1)],
         "mujoco": version("mujoco"),
     }
