@@ -73,18 +73,12 @@ class Demonstrations:
         ends, and the absorbing state is made from it.
 
         Args:
-            trajectories: number of trajectories to take, from the first on, or a list of their
-                indices; None takes all.
+            trajectories: so many, from the first on, or a list of indices; None takes all.
             every: k. The first transition is drawn from a trajectory's first k.
             seed: of these draws; a trajectory's draw does not depend on which others are taken.
-
-        Raises:
-            ValueError: `trajectories` is below 1 or names trajectories that do not exist, or
-                `every` is below 1.
         """
-        if trajectories is None:
-            trajectories = len(self)
-        chosen = range(trajectories) if np.ndim(trajectories) == 0 else list(trajectories)
+        count = len(self) if trajectories is None else trajectories
+        chosen = [*(range(count) if isinstance(count, int | np.integer) else count)]
         if not chosen or len({*chosen} & {*range(len(self))}) < len(chosen):
             raise ValueError(
                 f"trajectories is {trajectories}; there are {len(self)}: give a number from 1 to "
@@ -101,30 +95,19 @@ class Demonstrations:
             if rows[-1] < ends[i] - 1 and self.transitions.terminated[ends[i] - 1]:
                 rows = np.append(rows, ends[i] - 1)
             kept.append(rows)
-        rows = torch.from_numpy(np.concatenate(kept))
-        return Demonstrations(
-            self.env_id,
-            Batch(*(part[rows] for part in self.transitions)),
-            tuple(map(len, kept)),
-            tuple(self.returns[list(chosen)].tolist()),
-        )
+        taken = torch.from_numpy(np.concatenate(kept))
+        transitions = Batch(*(part[taken] for part in self.transitions))
+        returns = tuple(self.returns[chosen].tolist())
+        return Demonstrations(self.env_id, transitions, tuple(map(len, kept)), returns)
 
 
 def expert(env_id: str) -> Policy:
-    """Return the shipped experts of a task.
-
-    Raises:
-        FileNotFoundError: none is shipped for it; the message lists the tasks that have experts.
-    """
+    """Return the shipped experts of a task."""
     return Policy.load(expert_file(env_id))
 
 
 def expert_file(env_id: str) -> Path:
-    """Return the file of the shipped experts of a task.
-
-    Raises:
-        FileNotFoundError: none is shipped for it; the message lists the tasks that have experts.
-    """
+    """Return the file of the shipped experts; FileNotFoundError lists the tasks that have some."""
     path = EXPERTS / f"{short_name(env_id)}.safetensors"
     # A user's own task, such as `mine/PointMazeLeft-v0`, can have the same short name.
     if not path.is_file() or Policy.load(path).env_id != env_id:
@@ -160,19 +143,13 @@ def load(
         env_id: the task.
         trajectories: number of episodes to take, from the first on.
         dataset_id: a data set of your own, as `minari.list_local_datasets()` names it.
-        subsample: k, to take every k-th transition of each trajectory, see
-            `Demonstrations.subsample`.
-        experts: without `dataset_id`, the number of shipped experts that demonstrate, from the
-            first on; by default all.
+        subsample: k, for every k-th transition of each trajectory (`Demonstrations.subsample`).
+        experts: how many of the shipped experts demonstrate, from the first on; by default all.
 
     Raises:
-        FileNotFoundError: there is no such data set, and no expert to make it.
-        ModuleNotFoundError: the task's id names a module that does not exist.
-        OSError: Minari's local storage is not a folder, or the shipped experts' episodes must be
-            made and cannot be stored there.
-        ValueError: the data set does not fit the task; the task is unknown, or `envs.require_boxes`
-            refuses its spaces; `trajectories` or `subsample` is below 1; or there are fewer
-            shipped experts than `experts`.
+        FileNotFoundError: there is no such data set, or no expert to make it.
+        OSError: Minari's local storage cannot be used.
+        ValueError: the data set does not fit the task, or an argument is not valid.
     """
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
@@ -191,16 +168,9 @@ def load(
                 "Download one with `minari download`, make one of recordings with "
                 "`demonstrations.write`, or have `offairl demos --policy` make one"
             )
-    data = from_minari(minari.load_dataset(dataset_id), env_id, trajectories)
-    thin = data if subsample == 1 else data.subsample(every=subsample)
-    return replace(thin, source=source)
-
-
-def from_minari(
-    dataset: minari.MinariDataset, env_id: str, trajectories: int | None = None
-) -> Demonstrations:
-    """Return the episodes of a Minari data set; arguments and errors as `minari_storage.read`."""
-    return Demonstrations(env_id, *minari_storage.read(dataset, env_id, trajectories))
+    read = minari_storage.read(minari.load_dataset(dataset_id), env_id, trajectories)
+    data = Demonstrations(env_id, *read)
+    return replace(data if subsample == 1 else data.subsample(every=subsample), source=source)
 
 
 def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str:
@@ -241,47 +211,31 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
 def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> Episodes:
     """Write a Minari data set of a policy's first episodes, divided evenly among its members.
 
-    Actions are sampled, as maximum-entropy experts act. With n members, episode `i` is episode
-    `i // n` of member `i % n`.
-
-    Args:
-        policy: n members: experts, or the seeds of a run of your own.
-        env_id: the task.
-        trajectories: number of episodes.
-        dataset_id: a new name, such as `own/trained-v0`.
-
-    Returns:
-        The first `BLOCK` episodes of each member.
-
-    Raises:
-        FileExistsError: a data set of this name exists; nothing is overwritten.
-        ModuleNotFoundError: the task's id names a module that does not exist.
-        OSError: Minari's local storage cannot be written to.
-        ValueError: the policy does not fit the task, the name is not valid, the task is unknown,
-            `envs.require_boxes` refuses its spaces, or `trajectories` is below 1.
+    Actions are sampled, as maximum-entropy experts act. With n members, experts or the seeds of a
+    run of your own, episode `i` is episode `i // n` of member `i % n`. The name must be new, such
+    as `own/trained-v0`; errors are those of `minari_storage.write`. Returns the first `BLOCK`
+    episodes of each member.
     """
     # Everything that can go wrong is checked before minutes of work.
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}; expected at least 1")
     minari_storage.require_new(dataset_id)
-    space = minari_storage.closed_task(env_id).action_space
-    require_actions(policy, space)
+    _, units = minari_storage.closed_task(env_id)
+    require_actions(policy, units)
+    middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
     first = made = first_episodes(policy, env_id)
     recordings = []
-    with tqdm(total=trajectories, unit="episode", desc=f"demonstrations of {env_id}") as bar:
-        for i in range(trajectories):
-            e, member = divmod(i, len(policy))
-            if i > 0 and member == e % BLOCK == 0:
-                made = first_episodes(policy, env_id, e)
-            at = member, e % BLOCK
-            length = made.lengths[at]
-            obs, last = made.obs[at][:length], made.next_obs[at][length - 1 : length]
-            # In the task's own units; with bounds -1 and 1 this changes nothing.
-            middle, half = (space.low + space.high) / 2, (space.high - space.low) / 2
-            action = np.clip(middle + half * made.action[at][:length], space.low, space.high)
-            terminated, reward = bool(made.terminated[at]), made.reward[at][:length]
-            recordings.append(Recording(np.concatenate([obs, last]), action, terminated, reward))
-            bar.update()
+    for i in tqdm(range(trajectories), unit="episode", desc=f"demonstrations of {env_id}"):
+        e, member = divmod(i, len(policy))
+        if i > 0 and member == e % BLOCK == 0:
+            made = first_episodes(policy, env_id, e)
+        at = member, e % BLOCK
+        length = made.lengths[at]
+        obs = np.concatenate([made.obs[at][:length], made.next_obs[at][length - 1 : length]])
+        # In the task's own units; with bounds -1 and 1 this changes nothing.
+        action = np.clip(middle + half * made.action[at][:length], units.low, units.high)
+        reward = made.reward[at][:length]
+        recordings.append(Recording(obs, action, bool(made.terminated[at]), reward))
     by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
     write(recordings, env_id, dataset_id, algorithm=type(policy.actor).__name__, description=by)
     return first
@@ -294,26 +248,15 @@ def first_episodes(policy: Policy, env_id: str, first: int = 0) -> Episodes:
 
 
 def fingerprint(made: Episodes, env_id: str) -> dict[str, Any]:
-    """Return numbers that tell demonstrations made on this machine from those made on another.
+    """Return what tells demonstrations made on this machine from those made on another.
 
-    Args:
-        made: the result of `first_episodes` for the shipped experts of the task, or the first of
-            them.
-        env_id: the task.
-
-    Returns:
-        The SHA-256 of the `experts`' file and of each expert's `demonstrations`, their
-        `mean_returns`, and the version of `mujoco`.
+    These are SHA-256 of the `experts`' file and of each expert's `demonstrations`, as
+    `first_episodes` made them, their `mean_returns`, and the version of `mujoco`.
     """
-    digests = []
-    for member, lengths in enumerate(made.lengths):
-        steps = member, np.arange(made.obs.shape[2]) < lengths[:, None]
-        digests.append(
-            _digest(made.obs[steps], made.action[steps], made.next_obs[steps], made.reward[steps])
-        )
+    members = zip(made.obs, made.action, made.next_obs, made.reward, made.running, strict=True)
     return {
         "experts": _digest(expert_file(env_id).read_bytes()),
-        "demonstrations": digests,
+        "demonstrations": [_digest(*(p[running] for p in parts)) for *parts, running in members],
         "mean_returns": [round(float(mean), 4) for mean in made.returns.mean(1)],
         "mujoco": version("mujoco"),
     }
@@ -328,25 +271,19 @@ def _compare(made: Episodes, env_id: str) -> None:
     if not path.is_file():
         return
     noted, here = json.loads(path.read_text()), fingerprint(made, env_id)
-    members = len(made.returns)
+    members, mean = len(made.returns), np.mean(here["mean_returns"])
     same_experts = noted["experts"] == here["experts"]
     if same_experts and noted["demonstrations"][:members] != here["demonstrations"]:
         log.warning(
-            "The demonstrations of %s are fine to use, but not byte for byte those of the records: "
-            "made with MuJoCo %s, expected %s (another processor rounds differently as well). The "
-            "mean return of the first %d is %.4f here, and was %.4f there.",
-            env_id,
-            here["mujoco"],
-            noted["mujoco"],
-            made.returns.size,
-            np.mean(here["mean_returns"]),
-            np.mean(noted["mean_returns"][:members]),
+            f"The demonstrations of {env_id} are fine to use, but not byte for byte those of the "
+            f"records: made with MuJoCo {here['mujoco']}, expected {noted['mujoco']} (another "
+            "processor rounds differently as well). The mean return of the first "
+            f"{made.returns.size} is {mean:.4f} here, and was "
+            f"{np.mean(noted['mean_returns'][:members]):.4f} there."
         )
 
 
 def _digest(*parts: bytes | np.ndarray) -> str:
     """Return the SHA-256 of bytes or arrays, one after another."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(np.ascontiguousarray(part) if isinstance(part, np.ndarray) else part)
-    return digest.hexdigest()
+    joined = b"".join(part if isinstance(part, bytes) else part.tobytes() for part in parts)
+    return hashlib.sha256(joined).hexdigest()

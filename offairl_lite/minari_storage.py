@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class Recording(NamedTuple):
-    """A recorded episode of T steps.
+    """A recorded episode of T steps, with actions in the task's own units.
 
     `terminated` says whether the task had ended for good; otherwise the recording was cut. Rewards
     are used for `Demonstrations.returns` alone, and may be unknown.
@@ -46,39 +46,28 @@ def write(
     algorithm: str = "unknown",
     description: str | None = None,
 ) -> None:
-    """Write a Minari data set of episodes from anywhere.
+    """Write a Minari data set of episodes from anywhere, under a new name such as `own/arm-v0`.
 
-    Args:
-        recordings: the episodes, with actions in the task's own units.
-        env_id: the task.
-        dataset_id: a new name, such as `own/recorded-v0`.
-        algorithm: the algorithm that made the episodes, stored with the data set.
-        description: of the episodes, stored with the data set.
-
-    Raises:
-        FileExistsError: a data set of this name exists; nothing is overwritten.
-        ModuleNotFoundError: the task's id names a module that does not exist.
-        OSError: Minari's local storage cannot be written to.
-        ValueError: a recording does not fit the task, the name is not valid, the task is unknown,
-            or `envs.require_boxes` refuses its spaces. Nothing is written then.
+    Raises FileExistsError rather than overwrite, OSError if the storage cannot be written to, and
+    ValueError if a recording does not fit the task, or the name or the task is not valid. Nothing
+    is written then.
     """
     require_new(dataset_id)
     if not recordings:
         raise ValueError("there are no recordings; expected at least one")
-    env = closed_task(env_id)
+    env, units = closed_task(env_id)
     buffer = []
     for i, (obs, action, terminated, reward) in enumerate(recordings):
-        steps = len(action)
-        last = np.arange(steps) == steps - 1
+        last = np.arange(len(action)) == len(action) - 1
         episode = EpisodeBuffer(
             id=i,
             observations=np.asarray(obs, env.observation_space.dtype),
-            actions=np.asarray(action, env.action_space.dtype),
-            rewards=np.zeros(steps) if reward is None else np.asarray(reward),
+            actions=np.asarray(action, units.dtype),
+            rewards=np.zeros(len(action)) if reward is None else np.asarray(reward),
             terminations=last & terminated,
             truncations=last & (not terminated),
         )
-        _check(episode, f"recording {i}, for the task {env_id}", env)
+        _check(episode, f"recording {i}, for the task {env_id}", env.observation_space, units)
         buffer.append(episode)
     # Minari stores it, so that the data set can be told from data sets of other tasks.
     env.unwrapped.spec = _storable(envs.spec(env_id))
@@ -92,57 +81,42 @@ def write(
             env=env.unwrapped,
             eval_env=env.unwrapped,
             observation_space=env.observation_space,
-            action_space=env.action_space,
+            action_space=units,
             algorithm_name=algorithm,
             description=description,
         )
 
 
 def read(
-    dataset: minari.MinariDataset, env_id: str, trajectories: int | None = None
+    dataset: minari.MinariDataset, env_id: str, trajectories: int
 ) -> tuple[Batch, tuple[int, ...]]:
-    """Check a Minari data set against a task, and return its transitions and episode lengths.
+    """Return the transitions of the first episodes, axes `N` in order, and each episode's length.
 
-    A data set that was made on another task is accepted if it fits this one, and the log says so.
-
-    Args:
-        dataset: the data set.
-        env_id: the task.
-        trajectories: number of episodes to take, from the first on; by default all.
-
-    Returns:
-        Transitions with axes `N`, in order, with actions scaled to [-1, 1]; and the number of
-        transitions of each episode.
-
-    Raises:
-        ModuleNotFoundError: the task's id names a module that does not exist.
-        ValueError: there are too few episodes; shapes, ranges, finiteness or episode ends do not
-            fit the task; the task is unknown; or `envs.require_boxes` refuses its spaces.
+    Actions are scaled to [-1, 1]. A data set that was made on another task is accepted if it fits
+    this one, and the log says so. It is a ValueError if there are too few episodes, or if shapes,
+    ranges, finiteness or episode ends do not fit the task.
     """
-    env, name = closed_task(env_id), dataset.spec.dataset_id
-    if trajectories is not None and dataset.total_episodes < trajectories:
+    (env, units), name = closed_task(env_id), dataset.spec.dataset_id
+    if dataset.total_episodes < trajectories:
         raise ValueError(
             f"{name}: {trajectories} trajectories were asked for; it has {dataset.total_episodes}: "
             f"give --trajectories {dataset.total_episodes}, or fewer"
         )
     parts = []
-    for episode in dataset.iterate_episodes(None if trajectories is None else range(trajectories)):
-        _check(episode, f"data set {name}, episode {episode.id}, for the task {env_id}", env)
-        parts.append(_transitions(episode, env.action_space))
+    for episode in dataset.iterate_episodes(range(trajectories)):
+        where = f"data set {name}, episode {episode.id}, for the task {env_id}"
+        _check(episode, where, env.observation_space, units)
+        parts.append(_transitions(episode, units))
     made_on = dataset.spec.env_spec and dataset.spec.env_spec.id
     # The module that registers a task may be named before its id.
     if made_on and made_on.split(":")[-1] != env_id.split(":")[-1]:
         # Neither an error nor a warning, which may be turned into an error: it may be intended.
         log.warning(
-            "The data set %s was made on %s, and is taken for demonstrations of %s. Shapes and "
-            "bounds fit, and nothing else tells the two tasks apart: if you did not mean to show "
-            "another task, give a data set of %s.",
-            name,
-            made_on,
-            env_id,
-            env_id,
+            f"The data set {name} was made on {made_on}, and is taken for demonstrations of "
+            f"{env_id}. Shapes and bounds fit, and nothing else tells the two tasks apart: if you "
+            f"did not mean to show another task, give a data set of {env_id}."
         )
-    transitions = Batch(*(torch.cat(column) for column in zip(*parts, strict=True)))
+    transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
 
 
@@ -183,18 +157,12 @@ def require_new(dataset_id: str) -> None:
         )
 
 
-def closed_task(env_id: str) -> gymnasium.Env:
-    """Return a task, already closed, for its spaces.
-
-    Raises:
-        ModuleNotFoundError: its id names a module that does not exist.
-        ValueError: it is unknown, or `envs.require_boxes` refuses its spaces.
-    """
+def closed_task(env_id: str) -> tuple[gymnasium.Env, Box]:
+    """Return a task, closed, and its action space; see `envs.spec` and `envs.require_boxes`."""
     envs.spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
     env = gymnasium.make(env_id)
     env.close()
-    envs.require_boxes(env_id, env.observation_space, env.action_space)
-    return env
+    return env, envs.require_boxes(env_id, env.observation_space, env.action_space)
 
 
 def _storable(spec: EnvSpec) -> EnvSpec:
@@ -206,47 +174,38 @@ def _storable(spec: EnvSpec) -> EnvSpec:
     return spec
 
 
-def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, env: gymnasium.Env) -> None:
+def _check(
+    episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: gymnasium.Space, units: Box
+) -> None:
     """Raise ValueError unless an episode fits a task; `where` says in the message which one."""
-    steps, space = len(episode.rewards), env.action_space
-    _expect(steps > 0, where, "at least one step", "none")
-    shapes = {
-        "observations": (steps + 1, *env.observation_space.shape),
-        "actions": (steps, *space.shape),
-        "rewards": (steps,),
-    }
-    for part, shape in shapes.items():
+
+    def expect(met: bool, expected: str, found: object) -> None:
+        if not met:
+            raise ValueError(f"{where}: expected {expected}; found {found}")
+
+    steps = len(episode.rewards)
+    expect(steps > 0, "at least one step", "none")
+    shapes = {"observations": (steps + 1, *(seen.shape or ())), "actions": (steps, *units.shape)}
+    for part, shape in {**shapes, "rewards": (steps,)}.items():
         array = getattr(episode, part)
         found = getattr(array, "shape", type(array).__name__)
-        _expect(found == shape, where, f"{part} of shape {shape}", found)
+        expect(found == shape, f"{part} of shape {shape}", found)
         bad = np.argwhere(~np.isfinite(array))
         found = f"{len(bad)} that are not, the first at {bad[:1]}"
-        _expect(len(bad) == 0, where, f"finite {part}", found)
-    actions = episode.actions
-    inside = (actions >= space.low - 1e-5).all() and (actions <= space.high + 1e-5).all()
+        expect(len(bad) == 0, f"finite {part}", found)
+    actions = np.asarray(episode.actions)
+    inside = (actions >= units.low - 1e-5).all() and (actions <= units.high + 1e-5).all()
     found = f"{actions.min():.6g} to {actions.max():.6g}"
-    _expect(inside, where, f"actions in [{space.low}, {space.high}]", found)
+    expect(bool(inside), f"actions in [{units.low}, {units.high}]", found)
     ends = np.flatnonzero(np.asarray(episode.terminations) | np.asarray(episode.truncations))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
-    _expect(ends.tolist() == [steps - 1], where, expected, f"ends at {ends.tolist()}")
+    expect(ends.tolist() == [steps - 1], expected, f"ends at {ends.tolist()}")
 
 
-def _expect(met: bool, where: str, expected: str, found: object) -> None:
-    if not met:
-        raise ValueError(f"{where}: expected {expected}; found {found}")
-
-
-def _transitions(episode: minari.EpisodeData, space: Box) -> Batch:
+def _transitions(episode: minari.EpisodeData, units: Box) -> Batch:
     """Return an episode's transitions, with actions scaled to [-1, 1]."""
-    action = 2 * (np.asarray(episode.actions) - space.low) / (space.high - space.low) - 1
-
-    def tensor(array: Sequence | np.ndarray) -> torch.Tensor:
-        return torch.as_tensor(np.asarray(array), dtype=torch.float32)
-
-    return Batch(
-        tensor(episode.observations[:-1]),
-        unsquash(tensor(action)),
-        tensor(episode.observations[1:]),
-        tensor(episode.rewards),
-        tensor(episode.terminations),
-    )
+    action = 2 * (np.asarray(episode.actions) - units.low) / (units.high - units.low) - 1
+    obs, rewards, ends = episode.observations, episode.rewards, episode.terminations
+    parts = (obs[:-1], action, obs[1:], rewards, ends)
+    tensors = Batch(*(torch.as_tensor(np.asarray(p), dtype=torch.float32) for p in parts))
+    return tensors._replace(pre_tanh=unsquash(tensors.pre_tanh))

@@ -26,31 +26,23 @@ class Transitions(NamedTuple):
     next_obs: Float[Tensor, "N O"]
 
 
-RewardFunction = Callable[
-    [Float[Tensor, "N O"], Float[Tensor, "N A"], Float[Tensor, "N O"]], Float[Tensor, "N"]
-]
-"""A function that returns R(s, a, s') of transitions."""
+RewardFunction = Callable[[Tensor, Tensor, Tensor], Float[Tensor, "N"]]
+"""A function that returns R(s, a, s') of the three parts of `Transitions`."""
 
 
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return the canonically shaped reward C(R)(s, a, s') of transitions, (N,).
+    """Return the canonically shaped reward C(R)(s, a, s') of transitions.
 
-    Shaping R by a potential adds the same constant to C(R) for every transition.
-
-    Args:
-        reward: R(s, a, s').
-        transitions: N transitions (s, a, s').
-        samples: M draws of (S, A, S'), each column independent of the other columns.
-        discount: γ.
+    Shaping R by a potential adds the same constant to C(R) for every transition. The samples are
+    draws of (S, A, S'), each column independent of the other columns.
     """
     count, draws = len(transitions.obs), len(samples.obs)
     action = samples.action.repeat(count, 1)
     next_obs = samples.next_obs.repeat(count, 1)
 
-    def mean_from(obs: Float[Tensor, "N O"]) -> Float[Tensor, "N"]:
-        """Return E R(s, A, S')."""
+    def mean_from(obs):  # E R(s, A, S')
         start = obs.repeat_interleave(draws, 0)
         return reward(start, action, next_obs).view(count, draws).mean(1)
 
@@ -61,10 +53,8 @@ def canonical(
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
     """Return sqrt((1 - ρ) / 2), where ρ is the correlation of x and y, from 0 to 1.
 
-    It is 0 if the two are equal up to shift and positive scale, 1 if one is the other's negative.
-
-    Raises:
-        ValueError: x or y is constant, so that they have no correlation.
+    It is 0 if the two are equal up to shift and positive scale, 1 if one is the other's negative,
+    and a ValueError if one is constant.
     """
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
@@ -83,16 +73,11 @@ def distances(
     samples: Transitions,
     discount: float,
 ) -> Float[Tensor, "K K"]:
-    """Return the EPIC distance of each pair of rewards, from 0 to 1, (K, K).
+    """Return the EPIC distance of each pair of rewards, from 0 to 1.
 
-    Args:
-        rewards: K functions R(s, a, s').
-        transitions: transitions of the coverage distribution, over which rewards are compared.
-        samples: see `canonical`.
-        discount: γ of the shaping that the distance ignores.
-
-    Raises:
-        ValueError: on these transitions a reward is nothing but shaping, up to rounding.
+    The transitions are from the coverage distribution, over which rewards are compared; `samples`
+    and the `discount` of the ignored shaping are those of `canonical`. It is a ValueError if a
+    reward is nothing but shaping on these transitions, up to rounding.
     """
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
     for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):

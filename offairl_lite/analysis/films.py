@@ -19,18 +19,10 @@ from offairl_lite.core.rollouts import require_fit, seen
 def frames(
     policy: Policy, env_id: str, seed: int = 0, max_steps: int = 200, every: int = 1
 ) -> UInt8[np.ndarray, "T H W 3"]:
-    """Return the frames of one episode in which a policy takes its mode, (T, height, width, 3).
+    """Return frames, `every` so many steps, of one episode in which a policy takes its mode.
 
-    Args:
-        policy: a policy of one member, from `policy.member(i)`.
-        env_id: a task that renders frames, as the package's own tasks do.
-        seed: seed of the episode.
-        max_steps: largest number of steps.
-        every: number of steps from one frame to the next.
-
-    Raises:
-        ValueError: the policy has more than one member, the dimensions of its observations or
-            actions are not the task's, or the task does not render frames.
+    It is a ValueError if the policy has more than one member (take `policy.member(i)`) or does not
+    fit the task, or if the task does not render frames, as the package's own tasks do.
     """
     if len(policy) != 1:
         raise ValueError(
@@ -57,8 +49,8 @@ def frames(
 def _picture(env: VectorEnv, env_id: str) -> UInt8[np.ndarray, "H W 3"]:
     """Return the current frame of an environment's only member."""
     with _filming(env_id):
-        picture = env.render()[0]
-        if np.shape(picture)[2:] != (3,):
+        (picture,) = env.render() or (None,)
+        if not isinstance(picture, np.ndarray) or picture.shape[2:] != (3,):
             raise TypeError(f"render() returned {type(picture).__name__}")
     return picture
 

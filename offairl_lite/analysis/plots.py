@@ -6,6 +6,7 @@ The colours are those of Okabe and Ito (2008).
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,13 +19,13 @@ from matplotlib.quiver import Quiver
 
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
 from offairl_lite.core.rewards import Reward
-from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, walls
+from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, Side, walls
 from offairl_lite.tabular import MOVES
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 GREY = "#7f7f7f"
 
-STYLE = {
+STYLE: Any = {
     "figure.figsize": (6.4, 3.4),
     "figure.dpi": 110,
     # A white background is legible on a light and on a dark page.
@@ -58,13 +59,7 @@ def curve(
 ) -> None:
     """Draw the learning curve of S seeds: each one, their interquartile mean and its 95 % interval.
 
-    Args:
-        ax: the axes.
-        steps: environment steps of the K evaluations.
-        returns: return of each seed at each evaluation.
-        label: name in the legend.
-        color: of all lines and of the band, the bootstrap interval of the mean.
-        linestyle: of the mean.
+    The band is the bootstrap interval of the mean at the environment steps of K evaluations.
     """
     low, high = bootstrap_interval(returns)
     ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
@@ -76,16 +71,8 @@ def curve(
 def level(ax: Axes, value: float, label: str, color: str = GREY, linestyle: str = "--") -> None:
     """Draw a horizontal reference line with a label at its right end."""
     ax.axhline(value, color=color, linestyle=linestyle, linewidth=1.2)
-    ax.annotate(
-        label,
-        (1, value),
-        xycoords=("axes fraction", "data"),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="right",
-        color=color,
-        fontsize="small",
-    )
+    at: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    ax.annotate(label, (1, value), (0, 3), ha="right", color=color, fontsize="small", **at)
 
 
 class _Walls(LineCollection):
@@ -93,14 +80,15 @@ class _Walls(LineCollection):
 
     def draw(self, renderer) -> None:
         # The width is in points, so it can be computed only when the axes have their final size.
+        assert self.axes is not None
         ends = self.axes.transData.transform([(0, 0), (2 * WALL_RADIUS, 0)])
         self.set_linewidth(np.ptp(ends[:, 0]) * 72 / self.axes.figure.dpi)
         super().draw(renderer)
 
 
-def maze(ax: Axes, side: str | None) -> None:
+def maze(ax: Axes, side: Side | None) -> None:
     """Draw the walls, start and goal of the maze with this side; with None, without a barrier."""
-    ax.add_collection(_Walls(walls(side), colors="black", capstyle="round", zorder=2))
+    ax.add_collection(_Walls(list(walls(side)), colors="black", capstyle="round", zorder=2))
     ax.set(xlim=(-0.14, LENGTH + 0.04), ylim=(-0.14, LENGTH + 0.04), aspect="equal")
     ax.set(xticks=[0, 0.3, 0.6], yticks=[0, 0.3, 0.6], xlabel="x (m)", ylabel="y (m)")
     ax.grid(False)
@@ -109,36 +97,27 @@ def maze(ax: Axes, side: str | None) -> None:
 
 
 def reward_map(
-    ax: Axes, reward: Reward, side: str, member: int = 0, resolution: int = 81
+    ax: Axes, reward: Reward, side: Side, member: int = 0, resolution: int = 81
 ) -> AxesImage:
-    """Draw a learned reward r(s) over the maze, shifted so that its largest value is 0.
-
-    Args:
-        ax: the axes.
-        reward: a reward of the state alone.
-        side: the maze's side.
-        member: index of the seed whose reward is drawn.
-        resolution: number of pixels along x and along y.
-    """
+    """Draw a seed's learned reward r(s) over the maze, shifted so that its largest value is 0."""
     inner = np.linspace(-0.08, LENGTH - 0.02, resolution)
     x, y = np.meshgrid(inner, inner)
     obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
     value = reward.member(member).to("cpu")(obs.view(1, -1, 3)).view(x.shape).numpy()
     half = (inner[1] - inner[0]) / 2  # a pixel is centred on its point
-    extent = (inner[0] - half, inner[-1] + half) * 2
-    image = ax.imshow(value - value.max(), origin="lower", extent=extent, cmap="cividis", zorder=1)
-    maze(ax, side)
-    return image
+    return _image(ax, value - value.max(), side, inner[0] - half, inner[-1] + half)
 
 
-def grid(ax: Axes, values: Float[np.ndarray, "S"], side: str) -> AxesImage:
+def grid(ax: Axes, values: Float[np.ndarray, "S"], side: Side) -> AxesImage:
     """Draw a function of the state of `tabular.mazes.maze`, one value per square, over the maze."""
     cells = math.isqrt(len(values))
-    low, high = walls(side)[:4].min(), walls(side)[:4].max()
+    return _image(ax, values.reshape(cells, cells), side, walls(side).min(), walls(side).max())
+
+
+def _image(ax: Axes, values: np.ndarray, side: Side, low: float, high: float) -> AxesImage:
+    """Draw a square of values, from `low` to `high` along x and y, under the maze."""
     extent = (low, high, low, high)
-    image = ax.imshow(
-        values.reshape(cells, cells), origin="lower", extent=extent, cmap="cividis", zorder=1
-    )
+    image = ax.imshow(values, origin="lower", extent=extent, cmap="cividis", zorder=1)
     maze(ax, side)
     return image
 
@@ -155,18 +134,9 @@ def arrows(
     """
     size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
     move = 0.9 * size * (policy @ MOVES)
-    return ax.quiver(
-        *positions.T,
-        *move.T,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        pivot="mid",
-        width=0.004,
-        headwidth=4,
-        color=color,
-        zorder=1.5,
-    )
+    in_metres: Any = {"angles": "xy", "scale_units": "xy", "scale": 1, "pivot": "mid"}
+    look: Any = {"width": 0.004, "headwidth": 4, "color": color, "zorder": 1.5}
+    return ax.quiver(*positions.T, *move.T, **in_metres, **look)
 
 
 def trajectories(

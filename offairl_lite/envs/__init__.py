@@ -20,43 +20,27 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 
-from offairl_lite.envs.batched import BatchedEnv
-from offairl_lite.envs.serial import BoundedAction, SerialEnv, TaskError, own_code
+from offairl_lite.envs.batched import BatchedEnv, member_seeds
+from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
-__all__ = [
-    "TASKS",
-    "BatchedEnv",
-    "SerialEnv",
-    "SingleEnv",
-    "TaskError",
-    "make",
-    "require_boxes",
-    "spec",
-]
+__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "TaskError"]
+__all__ += ["make", "require_boxes", "spec"]
 
 
 class SingleEnv(gymnasium.Env):
-    """One member of a task as an ordinary Gymnasium environment, without a time limit.
-
-    Args:
-        task: a key of `TASKS`.
-        render_mode: None or `"rgb_array"`.
-    """
+    """One member of a task of `TASKS` as an ordinary environment, without a time limit."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(self, task: str, render_mode: str | None = None):
         # Gymnasium's TimeLimit, which `gymnasium.make` adds, is the only clock.
-        options = {"autoreset_mode": AutoresetMode.DISABLED, "max_episode_steps": math.inf}
-        self._members = BatchedEnv(task, render_mode=render_mode, **options)
+        self._members = BatchedEnv(task, render_mode=render_mode, max_episode_steps=math.inf)
         self.render_mode = render_mode
         self.action_space = self._members.single_action_space
         self.observation_space = self._members.single_observation_space
 
-    def reset(
-        self, *, seed: int | None = None, options: dict | None = None
-    ) -> tuple[np.ndarray, dict]:
+    def reset(self, *, seed=None, options=None) -> tuple[np.ndarray, dict]:
         """Start a new episode; `options` are not used."""
         super().reset(seed=seed)
         self._members.np_random = (self.np_random,)
@@ -76,22 +60,18 @@ class SingleEnv(gymnasium.Env):
 def spec(env_id: str) -> EnvSpec:
     """Return the registered specification of a task; for `my_module:MyTask-v0`, import the module.
 
-    Raises:
-        ModuleNotFoundError: there is no such module.
-        ValueError: the id is unknown; the message lists the package's own tasks and says how to
-            register another.
+    Raises ModuleNotFoundError, or a ValueError that lists the tasks there are.
     """
     module, _, name = env_id.rpartition(":")
-    if module:
-        try:
-            importlib.import_module(module)
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                f"{env_id}: {error}; expected a module that registers {name}: start in its folder, "
-                "or add that folder to PYTHONPATH"
-            ) from error
     try:
+        if module:
+            importlib.import_module(module)
         return gymnasium.spec(name)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            f"{env_id}: {error}; expected a module that registers {name}: start in its folder, "
+            "or add that folder to PYTHONPATH"
+        ) from error
     except gymnasium.error.Error as error:
         raise ValueError(
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
@@ -101,8 +81,8 @@ def spec(env_id: str) -> EnvSpec:
         ) from error
 
 
-def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> None:
-    """Raise ValueError unless both spaces of a task are boxes with one axis.
+def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> Box:
+    """Return a task's action space; ValueError unless both spaces are boxes with one axis.
 
     The action space must consist of floats with finite bounds, low < high.
     """
@@ -113,7 +93,8 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
                 "must each be a gymnasium.spaces.Box with one axis (see "
                 "gymnasium.wrappers.FlattenObservation)"
             )
-    if action_space.dtype.kind != "f":
+    assert isinstance(action_space, Box)
+    if not np.issubdtype(action_space.dtype, np.floating):
         raise ValueError(
             f"{env_id}: the action space {action_space} is of integers, to which a policy's "
             "actions would be rounded; make it a float32 Box, and round in the task's own step "
@@ -126,6 +107,7 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
             f"{env_id}: the bounds of every action must differ, low < high, but in {action_space} "
             "they do not; leave actions that cannot be chosen out of the space"
         )
+    return action_space
 
 
 def make(
@@ -149,41 +131,37 @@ def make(
             whose members are then stepped one after another.
         population: number of members.
         seed: s seeds the members with s, s + 1, ...; or a sequence of one seed per member.
-        num_threads: number of native threads for a task of `TASKS`; unused in other environments.
+        num_threads: number of native threads for a task of `TASKS`.
         render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
 
     Raises:
-        ModuleNotFoundError: the id names a module that does not exist.
-        ValueError: the id is unknown; `require_boxes` refuses its spaces; `population` is below 1;
-            or the number of seeds is not `population`.
+        ValueError: there is not one seed per member; or see `spec` and `require_boxes`.
         TaskError: the task's own code has failed.
     """
-    seeds = [seed + i for i in range(population)] if isinstance(seed, int) else list(seed)
-    if population < 1 or len(seeds) != population:
-        raise ValueError(f"expected one seed for each of {population} members, got {seeds}")
+    seeds = member_seeds(seed, population)
     if env_id in TASKS:
-        mode = {"autoreset_mode": AutoresetMode.DISABLED, "render_mode": render_mode}
-        return BatchedEnv(env_id, population, seeds=seeds, num_threads=num_threads, **mode)
-    spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
-    options = {"vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
-    if render_mode is not None:  # An environment without frames need not have this argument.
-        options["render_mode"] = render_mode
-    with own_code(env_id, "making"):
-        env = gymnasium.make_vec(env_id, population, vectorization_mode="sync", **options)
-    actions = env.single_action_space
-    require_boxes(env_id, env.single_observation_space, actions)
-    ones = np.ones_like(actions.high)
-    if (actions.low != -ones).any() or (actions.high != ones).any():
-        env = BoundedAction(env, -ones, ones)
-    return SerialEnv(env, seeds)
-
-
-for _id, _task in TASKS.items():
-    if _id.startswith("offairl/"):
-        gymnasium.register(
-            _id,
-            entry_point="offairl_lite.envs:SingleEnv",
-            vector_entry_point="offairl_lite.envs:BatchedEnv",
-            max_episode_steps=_task.max_episode_steps,
-            kwargs={"task": _id},
+        return BatchedEnv(
+            env_id,
+            population,
+            seeds=seeds,
+            num_threads=num_threads,
+            autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
         )
+    spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
+    # An environment without frames need not have this argument.
+    options: dict = {} if render_mode is None else {"render_mode": render_mode}
+    with own_code(env_id, "making"):
+        members = [gymnasium.make(env_id, **options) for _ in seeds]
+    units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
+    return SerialEnv(members, units, seeds)
+
+
+for _id in filter(lambda _id: _id.startswith("offairl/"), TASKS):
+    gymnasium.register(
+        _id,
+        entry_point="offairl_lite.envs:SingleEnv",
+        vector_entry_point="offairl_lite.envs:BatchedEnv",
+        max_episode_steps=TASKS[_id].max_episode_steps,
+        kwargs={"task": _id},
+    )

@@ -6,6 +6,7 @@ from operator import index
 import gymnasium
 import mujoco
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -32,26 +33,24 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     Args:
         task: a key of `TASKS`.
         num_envs: number of members.
-        seeds: one seed per member, as in `reset(seed=seeds)`; None takes them from the system.
-        num_threads: number of native threads that step the members; results do not depend on it.
-        autoreset_mode: `AutoresetMode.NEXT_STEP` or `AutoresetMode.DISABLED`.
+        seeds: one per member; None takes them from the system.
+        num_threads: number of native threads that step the members.
+        autoreset_mode: `NEXT_STEP` or `DISABLED`.
         render_mode: None or `"rgb_array"`.
-        max_episode_steps: number of steps after which an episode is truncated; None for the task's
-            own limit, `math.inf` for no limit.
-
-    Raises:
-        ValueError: an argument has another value, or `seeds` is not one seed per member.
+        max_episode_steps: None for the task's own time limit, `math.inf` for none.
     """
 
     # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.
-    np_random: tuple[np.random.Generator, ...] = ()
+    np_random: tuple[np.random.Generator, ...]  # type: ignore[assignment]
+    single_observation_space: Box
+    single_action_space: Box
 
     def __init__(
         self,
         task: str,
         num_envs: int = 1,
         *,
-        seeds: Sequence[int] | None = None,
+        seeds: Sequence[int | None] | None = None,
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
@@ -66,8 +65,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         self.task, self.num_envs, self.render_mode = TASKS[task], num_envs, render_mode
-        limit = self.task.max_episode_steps
-        self.max_episode_steps = limit if max_episode_steps is None else max_episode_steps
+        self.max_episode_steps = max_episode_steps or self.task.max_episode_steps
 
         model = self.task.model()
         # Contact forces are computed from a member's whole MjData, which only a persistent batch
@@ -79,75 +77,54 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl, self._xpos = self._batch.bind("ctrl"), self._batch.bind("xpos")
         self._seconds = model.opt.timestep * self.task.frame_skip
-        self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": round(1 / self._seconds),
-            "autoreset_mode": autoreset_mode,
-        }
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": round(1 / self._seconds)}
+        self.metadata["autoreset_mode"] = autoreset_mode
 
         bodies = model.nbody if self.task.contact_forces else 0
         self._observe(np.zeros((num_envs, 2)), np.zeros((num_envs, bodies, 6)))
         self._clock = np.zeros(num_envs, np.int64)
         self._idle = np.ones(num_envs, bool)
-        self.np_random = tuple(seeding.np_random()[0] for _ in range(num_envs))
-        self._seed(member_seeds(seeds, num_envs), np.ones(num_envs, bool))
+        self.np_random = tuple(seeding.np_random(s)[0] for s in member_seeds(seeds, num_envs))
 
         low, high = model.actuator_ctrlrange.T.astype(np.float32)
-        self.single_action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        self.single_action_space = Box(low, high, dtype=np.float32)
         # MuJoCo resets a simulation when a position or a velocity exceeds this value.
-        bound = mujoco.mjMAXVAL
-        self.single_observation_space = gymnasium.spaces.Box(
-            -bound, bound, self._observations.shape[1:], np.float64
-        )
+        bound, shape = mujoco.mjMAXVAL, self._observations.shape[1:]
+        self.single_observation_space = Box(-bound, bound, shape, np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
-        """Start new episodes.
+        """Start new episodes; return the observations of all members, and an empty dictionary.
 
-        Args:
-            seed: with None the generators continue, a number s seeds member i with s + i, and a
-                sequence gives each member a seed or None.
-            options: `{"reset_mask": mask}`, `(num_envs,)` bool, resets and seeds only the marked
-                members.
-
-        Returns:
-            Observations of all members, (num_envs, O), and an empty dictionary.
-
-        Raises:
-            ValueError: the mask is not a boolean array of that shape or marks no member, or the
-                number of seeds is not `num_envs`.
+        A number s seeds member i with s + i, and a sequence gives each member a seed, or None, with
+        which its generator continues. The options `{"reset_mask": mask}`, with a mask `(num_envs,)`
+        bool, reset the marked members alone.
         """
-        mask = reset_mask(options, self.num_envs)
-        self._seed(member_seeds(seed, self.num_envs), mask)
+        mask, generators = reset_mask(options, self.num_envs), list(self.np_random)
+        for member, new_seed in enumerate(member_seeds(seed, self.num_envs)):
+            if mask[member] and new_seed is not None:
+                generators[member] = seeding.np_random(new_seed)[0]
+        self.np_random = tuple(generators)
         self._start(np.flatnonzero(mask))
         return self._observations.copy(), {}
 
     def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step; in mode NEXT_STEP, reset the finished members instead.
 
-        Args:
-            actions: (num_envs, A), finite.
-
-        Returns:
-            Observations (num_envs, O); rewards, terminated (the task has ended the episode) and
-            truncated (the time limit has), each (num_envs,); and an empty dictionary. For a member
-            that is reset by this step, the reward is 0 and both flags are False.
-
-        Raises:
-            ValueError: `actions` has another shape, or a value that is not finite.
-            RuntimeError: in mode DISABLED, a member has no episode in progress.
+        Terminated says that the task has ended the episode, truncated that the time limit has. For
+        a member that is reset by this step, the reward is 0 and both are False. It is a ValueError
+        if `actions` are not finite, and in mode DISABLED a RuntimeError to step a finished member.
         """
-        actions = self._checked(actions)
-        idle = self._idle
+        actions, idle = self._checked(actions), self._idle
         if self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
             require_episodes(idle)
         before, running = self._physics, np.flatnonzero(~idle)
         self._ctrl[running] = actions[running]
         self._batch.step(running, nstep=self.task.frame_skip)
-        self._measure(running, self._contact_forces(running))
+        self._measure(running, stepped=True)
         after = self._physics
         self._clock[running] += 1
 
@@ -161,17 +138,17 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything that later steps depend on, as arrays for `set_state`."""
-        torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
-        state = {"physics": self._batch.state.copy(), "torso": torso, "contact": contact}
-        progress = {"clock": self._clock.copy(), "idle": self._idle.copy()}
-        return {**state, **progress, "generators": generator_words(self.np_random, self)}
+        return {
+            "physics": self._batch.state.copy(),
+            "torso": self._physics.torso.copy(),
+            "contact": self._physics.contact.copy(),
+            "clock": self._clock.copy(),
+            "idle": self._idle.copy(),
+            "generators": generator_words(self.np_random, self),
+        }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Continue exactly from a state that `get_state` returned, here or in another `BatchedEnv`.
-
-        Raises:
-            ValueError: the state is of another task or number of members.
-        """
+        """Continue exactly from a state that `get_state` returned, here or in another object."""
         require_layout(state, self.get_state())
         self._batch.state[:] = state["physics"]
         self._observe(state["torso"].copy(), state["contact"].copy())
@@ -179,41 +156,29 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         set_generator_words(self.np_random, state["generators"])
 
     def render(self) -> tuple[np.ndarray, ...]:
-        """Return the frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8.
-
-        Raises:
-            RuntimeError: the environment was made without `render_mode="rgb_array"`.
-        """
+        """Return the frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8."""
         if self.render_mode is None:
             raise RuntimeError("make the environment with render_mode='rgb_array' to render it")
-        frames = []
-        for member in range(self.num_envs):
-            data = self._batch.get_data(member, self._scratch)
-            mujoco.mj_kinematics(self._model, data)
-            frames.append(render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera))
-        return tuple(frames)
+        return tuple(map(self._frame, range(self.num_envs)))
+
+    def _frame(self, member: int) -> np.ndarray:
+        data = self._batch.get_data(member, self._scratch)
+        mujoco.mj_kinematics(self._model, data)
+        return render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera)
 
     def _checked(self, actions) -> np.ndarray:
-        actions = np.asarray(actions)
-        if actions.shape != self.action_space.shape or actions.dtype.kind not in "fiu":
+        actions, shape = np.asarray(actions), self.action_space.shape
+        if actions.shape != shape or actions.dtype.kind not in "fiu":
             raise ValueError(
-                f"actions must be numbers of shape {self.action_space.shape}, "
+                f"actions must be numbers of shape {shape}, "
                 f"not {actions.dtype} of shape {actions.shape}"
             )
-        finite = np.isfinite(actions)
-        if not finite.all():
-            member, joint = np.argwhere(~finite)[0].tolist()
+        for member, joint in np.argwhere(~np.isfinite(actions)):
             raise ValueError(
                 f"member {member}: action[{joint}] is {actions[member, joint]}; "
                 f"actions must be finite, within {self.single_action_space}"
             )
         return actions
-
-    def _seed(self, seeds: Sequence[int | None], mask: np.ndarray) -> None:
-        self.np_random = tuple(
-            seeding.np_random(seed)[0] if marked and seed is not None else rng
-            for rng, seed, marked in zip(self.np_random, seeds, mask, strict=True)
-        )
 
     def _start(self, members: np.ndarray) -> None:
         """Start new episodes of some members, with draws from their own generators."""
@@ -223,31 +188,24 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             self._qpos[member] += position
             self._qvel[member] += velocity
         self._batch.forward(members)
-        self._measure(members, 0.0)
+        self._measure(members, stepped=False)
         self._clock[members] = 0
         self._idle[members] = False
 
-    def _contact_forces(self, members: np.ndarray) -> np.ndarray:
-        """Return the clipped external forces on the bodies of some members, (M, nbody or 0, 6)."""
-        forces = np.zeros((len(members), *self._physics.contact.shape[1:]))
-        if not self.task.contact_forces:
-            return forces
-        for row, member in zip(forces, members, strict=True):
-            data = self._batch.get_data(member, self._scratch)
-            mujoco.mj_rnePostConstraint(self._model, data)
-            row[:] = data.cfrc_ext
-        return np.clip(forces, -1, 1)
-
-    def _measure(self, moved: np.ndarray, contact: np.ndarray | float) -> None:
-        """Update physics and observations after some members have moved.
+    def _measure(self, moved: np.ndarray, stepped: bool) -> None:
+        """Update physics and observations after some members have been stepped or reset.
 
         Torso and contact are by-products of a step and not part of MuJoCo's state: for the other
         members they stay as they were.
         """
-        torso, contacts = self._physics.torso.copy(), self._physics.contact.copy()
+        torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
         torso[moved] = self._xpos[moved, 1, :2]
-        contacts[moved] = contact
-        self._observe(torso, contacts)
+        contact[moved] = 0.0
+        for member in moved if stepped and self.task.contact_forces else ():
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_rnePostConstraint(self._model, data)
+            contact[member] = np.clip(data.cfrc_ext, -1, 1)
+        self._observe(torso, contact)
 
     def _observe(self, torso: np.ndarray, contact: np.ndarray) -> None:
         self._physics = Physics(self._qpos.copy(), self._qvel.copy(), torso, contact)
@@ -259,8 +217,8 @@ def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list
     if seed is None:
         return [None] * num_envs
     seeds = [seed + i for i in range(num_envs)] if isinstance(seed, int | np.integer) else seed
-    if len(seeds) != num_envs:
-        raise ValueError(f"expected a seed for each of {num_envs} members, got {seeds}")
+    if num_envs < 1 or len(seeds) != num_envs:
+        raise ValueError(f"expected one seed for each of {num_envs} members, got {seeds}")
     return [None if seed is None else index(seed) for seed in seeds]
 
 
@@ -308,15 +266,18 @@ def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndar
                 f"PCG64, as Gymnasium makes it, got {rng!r}"
             )
         state = rng.bit_generator.state
-        numbers = divmod(state["state"]["state"], 2**64), divmod(state["state"]["inc"], 2**64)
-        rows.append([*numbers[0], *numbers[1], state["has_uint32"], state["uinteger"]])
+        words = [word for name in ("state", "inc") for word in divmod(state["state"][name], 2**64)]
+        rows.append([*words, state["has_uint32"], state["uinteger"]])
     return np.array(rows, np.uint64)
 
 
 def set_generator_words(generators: Sequence[np.random.Generator], rows: np.ndarray) -> None:
     """Set generators to states that `generator_words` returned."""
-    for rng, words in zip(generators, rows, strict=True):
-        high, low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
-        state = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
-        spare = {"has_uint32": has_uint32, "uinteger": uinteger}
-        rng.bit_generator.state = {"bit_generator": "PCG64", "state": state, **spare}
+    for rng, row in zip(generators, rows.tolist(), strict=True):
+        high, low, inc_high, inc_low, has_uint32, uinteger = row
+        rng.bit_generator.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
+            "has_uint32": has_uint32,
+            "uinteger": uinteger,
+        }

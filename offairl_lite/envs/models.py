@@ -53,15 +53,8 @@ _BACK_LEGS = (3, 4)
 def walls(side: Side | None) -> np.ndarray:
     """Return the centre lines of the maze's walls: four borders, then the barrier.
 
-    Args:
-        side: the side on which the barrier is attached. `"Left"` leaves its gap on the right,
-            `"Right"` on the left. With None there is no barrier.
-
-    Returns:
-        Segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y).
-
-    Raises:
-        ValueError: `side` is neither `"Left"` nor `"Right"` nor None.
+    They are segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y). The barrier is attached on a
+    side, so that `"Left"` leaves the gap on the right; with None there is none.
     """
     if side not in ("Left", "Right", None):
         raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
@@ -78,13 +71,7 @@ def point_maze(side: Side) -> mujoco.MjModel:
     """Return the shifting maze: a particle, pushed in the plane, and a barrier before its target.
 
     `qpos` is the particle's displacement from `START`, `ctrl` the force along x and y in newtons,
-    each limited to [-1, 1].
-
-    Args:
-        side: the side on which the barrier is attached.
-
-    Raises:
-        ValueError: `side` is neither `"Left"` nor `"Right"`.
+    each limited to [-1, 1]. The barrier is attached on a side.
     """
     if side is None:
         raise ValueError("side must be 'Left' or 'Right', not None")
@@ -136,13 +123,8 @@ def _particle_in_box(name: str, lines: np.ndarray, start: np.ndarray) -> mujoco.
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     """Return the ant with motors of gear 30; if disabled, its back legs are short and weak.
 
-    Args:
-        disabled: halve the thigh and shin of legs 3 and 4, and give their motors gear 1.
-        actuator_legs: the legs 1 to 4 in the order in which an action drives them, hip before
-            ankle.
-
-    Raises:
-        ValueError: `actuator_legs` is not an ordering of the legs 1 to 4.
+    Weak legs have half a thigh and half a shin, and motors of gear 1. An action drives the legs 1
+    to 4 in the order of `actuator_legs`, hip before ankle.
     """
     if sorted(actuator_legs) != sorted(_LEGS):
         raise ValueError(f"actuator_legs must order the legs 1, 2, 3, 4, not {actuator_legs}")

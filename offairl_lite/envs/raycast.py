@@ -3,8 +3,8 @@
 A frame is a pure function of model, state and camera: every call returns the same bytes.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,42 +22,31 @@ _TILES = np.array([[0.56, 0.62, 0.70], [0.69, 0.75, 0.82]])
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
-@dataclass(frozen=True)
-class Camera:
-    """The camera of a frame.
-
-    Attributes:
-        lookat: the point (x, y, z) in the middle of the frame, in metres.
-        distance: distance from the eye to `lookat`, in metres.
-        azimuth: direction of view in the ground plane, in degrees; 90 looks along +y.
-        elevation: angle of view above the ground plane, in degrees; negative looks down.
-        body: index of the body with which `lookat` moves along x and y; 0, the world, does not
-            move.
-        tiles: whether planes are drawn as a checker board, which shows motion, instead of in their
-            own colour.
-        field_of_view: vertical field of view, in degrees.
-    """
+class Camera(NamedTuple):
+    """The camera of a frame; lengths in metres, angles in degrees."""
 
     lookat: tuple[float, float, float]
+    """The point (x, y, z) in the middle of the frame."""
     distance: float
+    """From the eye to `lookat`."""
     azimuth: float = 90.0
+    """Direction of view in the ground plane; 90 looks along +y."""
     elevation: float = -15.0
+    """Angle of view above the ground plane; negative looks down."""
     body: int = 0
+    """The body with which `lookat` moves along x and y; 0, the world, does not move."""
     tiles: bool = True
+    """Whether planes are a checker board, which shows motion, instead of in their own colour."""
     field_of_view: float = 40.0
+    """Vertical field of view."""
 
 
 def render(
     model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, camera: Camera
 ) -> np.ndarray:
-    """Return one frame, `(height, width, 3)` uint8.
+    """Return one frame, `(height, width, 3)` uint8, of `width` times `height` pixels.
 
-    Args:
-        model: the model.
-        data: a state of `model` whose kinematics are current, see `mujoco.mj_kinematics`.
-        width: width of the frame, in pixels.
-        height: height of the frame, in pixels.
-        camera: the camera.
+    The kinematics of `data`, a state of `model`, must be current, see `mujoco.mj_kinematics`.
     """
     centre = np.array(camera.lookat)
     centre[:2] += data.xpos[camera.body, :2]

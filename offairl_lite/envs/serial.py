@@ -1,14 +1,16 @@
 """Members of any Gymnasium task, stepped one after another."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from copy import deepcopy
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.utils import seeding
-from gymnasium.vector import VectorEnv, VectorWrapper
-from gymnasium.wrappers.vector import RescaleAction
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers.utils import rescale_box
 
 from offairl_lite.envs.batched import (
     Step,
@@ -26,7 +28,7 @@ class TaskError(RuntimeError):
 
 
 @contextmanager
-def own_code(task: str, what: str) -> Iterator[None]:
+def own_code(task: object, what: str) -> Iterator[None]:
     """Turn an exception of a task's own code into a TaskError.
 
     Gymnasium's errors and failed imports pass unchanged: their messages say what to do.
@@ -40,80 +42,54 @@ def own_code(task: str, what: str) -> Iterator[None]:
         raise TaskError(f"{task} has failed in its {what}, {why}") from error
 
 
-class BoundedAction(RescaleAction):
-    """Gymnasium's `RescaleAction`, whose rounding never leaves the bounds of the task."""
-
-    def actions(self, actions: np.ndarray) -> np.ndarray:
-        """Return the actions in the units of the task."""
-        space = self.env.action_space
-        return np.clip(super().actions(actions), space.low, space.high)
-
-
-class SerialEnv(VectorWrapper):
-    """Gymnasium's `SyncVectorEnv` with the seeds and the saved state of a `BatchedEnv`.
+class SerialEnv(SyncVectorEnv):
+    """Members of one task with the actions, seeds and saved states of a `BatchedEnv`.
 
     The variables inside a member are unknown. Its state is therefore the state of its random
     generator before the reset, and the actions since then; it is restored by playing the episode
-    again. Actions are converted to the type of the action space.
+    again. Actions from -1 to 1 are converted to the type and the units of the task.
 
     Args:
-        env: a new `SyncVectorEnv` in mode `DISABLED`, or a `BoundedAction` around one.
+        members: new environments of one task.
+        units: their action space, as `envs.require_boxes` returns it.
         seeds: one seed per member, for its first reset.
     """
 
-    def __init__(self, env: VectorEnv, seeds: Sequence[int]):
-        super().__init__(env)
-        self._members = env.unwrapped.envs
-        self._rescaled = env.actions if isinstance(env, BoundedAction) else np.copy
-        self._seeds = member_seeds(seeds, env.num_envs)
-        self._starts = [seeding.np_random(seed)[0] for seed in self._seeds]
-        self._observations = np.zeros_like(env.observation_space.low)
-        self._actions = []  # As many as the longest episode has steps.
-        self._clock = np.zeros(env.num_envs, np.int64)
-        self._idle = np.ones(env.num_envs, bool)
+    single_observation_space: Box
+    single_action_space: Box
+
+    def __init__(self, members: Sequence[gymnasium.Env], units: Box, seeds: Sequence[int | None]):
+        making = [lambda member=member: member for member in members]
+        super().__init__(making, autoreset_mode=AutoresetMode.DISABLED)
+        self.spec, self._units, ones = members[0].spec, units, np.ones_like(units.low)
+        self.single_action_space, _, self._in_units = rescale_box(units, -ones, ones)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._seeds = list(seeds)
+        self._starts = [seeding.np_random(seed)[0] for seed in seeds]
+        for member, start in zip(members, self._starts, strict=True):
+            member.unwrapped.np_random = deepcopy(start)
+        self._last = np.stack([np.zeros_like(self.single_observation_space.low)] * self.num_envs)
+        self._actions: list[np.ndarray] = []  # As many as the longest episode has steps.
+        self._clock = np.zeros(self.num_envs, np.int64)
+        self._idle = np.ones(self.num_envs, bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
         """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
-        mask = reset_mask(options, self.num_envs)
-        seeds = member_seeds(seed, self.num_envs)
-        seeds = [b if a is None else a for a, b in zip(seeds, self._seeds, strict=True)]
-        starts = {
-            i: deepcopy(self._members[i].unwrapped.np_random)
-            if seeds[i] is None
-            else seeding.np_random(seeds[i])[0]
-            for i in np.flatnonzero(mask)
-        }
-        # Gymnasium removes the mask from the options, so it gets a copy.
-        with self._own("reset"):
-            observations, info = self.env.reset(seed=seeds, options=options and dict(options))
-        observations[~mask] = self._observations[~mask]
-        self._observations = observations.copy()
-        self._clock[mask], self._idle[mask] = 0, False
+        mask, seeds = reset_mask(options, self.num_envs), member_seeds(seed, self.num_envs)
+        for i in np.flatnonzero(mask).tolist():
+            self._begin(i, self._seeds[i] if seeds[i] is None else seeds[i])
         del self._actions[: len(self._actions) - self._clock.max()]
-        for i, start in starts.items():
-            self._seeds[i], self._starts[i] = None, start
-        return observations, info
+        return self._last.copy(), {}
 
     def step(self, actions: np.ndarray) -> Step:
-        """Advance every member by one step.
-
-        Raises:
-            RuntimeError: a member has no episode in progress.
-            TaskError: the task's own code has failed.
-        """
+        """Advance every member by one step, as `BatchedEnv.step`; TaskError if the task fails."""
         require_episodes(self._idle)
-        actions = np.array(actions, self.action_space.dtype)
-        with self._own("step"):
-            observations, rewards, terminated, truncated, info = self.env.step(actions.copy())
-        self._actions.append(actions)
-        self._clock += 1
-        self._observations, self._idle = observations.copy(), terminated | truncated
-        return observations, rewards, terminated, truncated, info
-
-    def _own(self, what: str) -> AbstractContextManager[None]:
-        return own_code(str(self.unwrapped), what)
+        self._actions.append(np.array(actions, self._units.dtype))
+        ends = [self._advance(i, action) for i, action in enumerate(self._actions[-1])]
+        rewards, terminated, truncated = zip(*ends, strict=True)
+        return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything that later steps depend on, as arrays for `set_state`.
@@ -123,19 +99,14 @@ class SerialEnv(VectorWrapper):
         Raises:
             ValueError: a member's `np_random` is not a PCG64 generator.
         """
-        new = self._idle & (self._clock == 0)
-        generators = [
-            start if never_reset else member.unwrapped.np_random
-            for member, start, never_reset in zip(self._members, self._starts, new, strict=True)
-        ]
-        actions = np.array(self._actions, self.action_space.dtype)
+        actions = np.array(self._actions, self._units.dtype)
         return {
-            "starts": generator_words(self._starts, self.unwrapped),
-            "actions": actions.reshape(-1, *self.action_space.shape),
+            "starts": generator_words(self._starts, self),
+            "actions": actions.reshape(-1, self.num_envs, *self._units.shape),
             "clock": self._clock.copy(),
             "idle": self._idle.copy(),
-            "observations": self._observations.copy(),
-            "generators": generator_words(generators, self.unwrapped),
+            "observations": self._last.copy(),
+            "generators": generator_words(self.np_random, self),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -145,40 +116,49 @@ class SerialEnv(VectorWrapper):
             ValueError: the state is of another task or number of members; or the episodes come out
                 differently when they are played again, and the environment must then be reset.
         """
-        like = self.get_state()
-        steps = np.shape(state.get("actions"))[:1]
-        like["actions"] = np.empty((*steps, *self.action_space.shape), self.action_space.dtype)
+        like, steps = self.get_state(), np.shape(state.get("actions", ()))[:1]
+        like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)
         require_layout(state, like)
-
-        generators = [member.unwrapped.np_random for member in self._members]
-        set_generator_words(generators, state["starts"])
-        self._seeds, self._starts = [None] * self.num_envs, deepcopy(generators)
-        # All members, since `SyncVectorEnv` cannot reset a few before it has reset all.
-        with self._own("reset"):
-            first, _ = self.env.reset()
-        new = state["idle"] & (state["clock"] == 0)
-        for i in np.flatnonzero(new):
-            set_generator_words([self._members[i].unwrapped.np_random], state["starts"][[i]])
-        self._observations = np.where(new[:, None], state["observations"], first)
-        self._actions = list(state["actions"].copy())
-        self._clock, self._idle = state["clock"].copy(), new
-        with self._own("step"):
-            self._play()
+        set_generator_words(self.np_random, state["starts"])
+        self._seeds, self._starts = [None] * self.num_envs, deepcopy(list(self.np_random))
+        self._last, self._actions = state["observations"].copy(), list(state["actions"].copy())
+        self._clock, self._idle = np.zeros_like(state["clock"]), np.ones_like(state["idle"])
+        never_reset = state["idle"] & (state["clock"] == 0)
+        for i in np.flatnonzero(~never_reset).tolist():
+            self._begin(i)
+            for actions in self._actions[len(self._actions) - state["clock"][i] :]:
+                self._advance(i, actions[i])
 
         again = self.get_state()
         wrong = [k for k in state if not np.array_equal(again[k], state[k], equal_nan=True)]
         if wrong:
             raise ValueError(
-                f"{self.unwrapped}: {', '.join(wrong)} came out differently when the episodes were "
+                f"{self}: {', '.join(wrong)} came out differently when the episodes were "
                 "played again; expected a task whose episodes depend only on the actions and on "
                 "np_random as it was before the reset"
             )
 
-    def _play(self) -> None:
-        """Play the episodes again, from their starts."""
-        for left, actions in zip(range(len(self._actions), 0, -1), self._actions, strict=True):
-            played = self._rescaled(actions)
-            # Episodes have different lengths, and `SyncVectorEnv` would step all members.
-            for i in np.flatnonzero(self._clock >= left):
-                observation, _, terminated, truncated, _ = self._members[i].step(played[i])
-                self._observations[i], self._idle[i] = observation, terminated or truncated
+    def _begin(self, i: int, seed: int | None = None) -> None:
+        """Start an episode of one member, whose generator continues if there is no seed."""
+        member = self.envs[i]
+        generator = member.unwrapped.np_random
+        self._starts[i] = deepcopy(generator) if seed is None else seeding.np_random(seed)[0]
+        with own_code(self, "reset"):
+            self._observe(i, member.reset(seed=seed)[0])
+        self._seeds[i], self._clock[i], self._idle[i] = None, 0, False
+
+    def _advance(self, i: int, action: np.ndarray) -> tuple[float, bool, bool]:
+        """Return reward, terminated and truncated of one member's next step."""
+        # Rounding must not leave the bounds of the task.
+        scaled = self._in_units(action).astype(action.dtype)
+        with own_code(self, "step"):
+            step = self.envs[i].step(np.clip(scaled, self._units.low, self._units.high))
+            self._observe(i, step[0])
+        _, reward, terminated, truncated, _ = step
+        self._clock[i] += 1
+        self._idle[i] = terminated or truncated
+        return float(reward), bool(terminated), bool(truncated)
+
+    def _observe(self, i: int, observation: np.ndarray) -> None:
+        """Keep a member's observation; ValueError if it does not fit the space."""
+        np.stack([observation], out=self._last[i : i + 1])

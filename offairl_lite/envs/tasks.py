@@ -7,6 +7,7 @@ bit: operations, and random draws at a reset, have the same order. The marsh is 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,20 +20,17 @@ from offairl_lite.envs.raycast import Camera
 
 
 class Physics(NamedTuple):
-    """The state from which observations and rewards are computed, for n simulations.
-
-    Attributes:
-        qpos: generalised positions, (n, nq).
-        qvel: generalised velocities, (n, nv).
-        torso: x and y of body 1 as MuJoCo leaves them after a step, one substep late, (n, 2).
-        contact: external forces on every body, clipped to [-1, 1], (n, nbody, 6); zero after a
-            reset, and always for a task without `contact_forces`.
-    """
+    """The state from which observations and rewards are computed, for n simulations."""
 
     qpos: np.ndarray
+    """Generalised positions, (n, nq)."""
     qvel: np.ndarray
+    """Generalised velocities, (n, nv)."""
     torso: np.ndarray
+    """x and y of body 1 as MuJoCo leaves them after a step, one substep late, (n, 2)."""
     contact: np.ndarray
+    """External forces on every body, clipped to [-1, 1], (n, nbody, 6); zero after a reset, and
+    always for a task without `contact_forces`."""
 
 
 Noise = Callable[[np.random.Generator, mujoco.MjModel], tuple[np.ndarray, np.ndarray]]
@@ -44,44 +42,31 @@ def _never(physics: Physics) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Task:
-    """A task.
-
-    Attributes:
-        model: builds the model.
-        camera: the camera of its frames.
-        noise: draws the noise that a reset adds to the model's `qpos0`, (nq,), and to zero
-            velocity, (nv,).
-        observe: physics -> observations, (n, O) float64.
-        reward: physics before, actions (n, A), physics after, seconds in between -> (n,) float64.
-        terminated: physics -> whether the task itself has ended the episode, (n,) bool.
-        frame_skip: number of physics steps in one environment step.
-        max_episode_steps: number of environment steps after which an episode is truncated.
-        contact_forces: whether `Physics.contact` is computed.
-    """
+    """A task, as functions of n simulations at once."""
 
     model: Callable[[], mujoco.MjModel]
     camera: Camera
     noise: Noise
+    """Draws what a reset adds to the model's `qpos0`, (nq,), and to zero velocity, (nv,)."""
     observe: Callable[[Physics], np.ndarray]
+    """Physics -> observations, (n, O) float64."""
     reward: Callable[[Physics, np.ndarray, Physics, float], np.ndarray]
+    """Physics before, actions (n, A), physics after, seconds in between -> (n,) float64."""
     terminated: Callable[[Physics], np.ndarray] = _never
+    """Physics -> whether the task itself has ended the episode, (n,) bool."""
     frame_skip: int = 5
+    """Physics steps in one environment step."""
     max_episode_steps: int = 1000
     contact_forces: bool = False
+    """Whether `Physics.contact` is computed."""
 
 
-def _uniform(scale: float) -> Noise:
-    def draw(rng, model):
-        return rng.uniform(-scale, scale, model.nq), rng.uniform(-scale, scale, model.nv)
-
-    return draw
+def _uniform(rng, model):
+    return rng.uniform(-5e-3, 5e-3, model.nq), rng.uniform(-5e-3, 5e-3, model.nv)
 
 
-def _uniform_and_normal(scale: float) -> Noise:
-    def draw(rng, model):
-        return rng.uniform(-scale, scale, model.nq), scale * rng.standard_normal(model.nv)
-
-    return draw
+def _uniform_and_normal(rng, model):
+    return rng.uniform(-0.1, 0.1, model.nq), 0.1 * rng.standard_normal(model.nv)
 
 
 def _maze_noise(rng, model):
@@ -128,15 +113,15 @@ def _walker_healthy(physics: Physics) -> np.ndarray:
     return (height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0)
 
 
-def _ant_healthy(physics: Physics) -> np.ndarray:
+def _ant_unhealthy(physics: Physics) -> np.ndarray:
     state = np.concatenate([physics.qpos, physics.qvel], axis=1)
     height = physics.qpos[:, 2]
-    return np.isfinite(state).all(axis=1) & (height >= 0.2) & (height <= 1.0)
+    return ~(np.isfinite(state).all(axis=1) & (height >= 0.2) & (height <= 1.0))
 
 
 def _ant_reward(before, actions, after, seconds):
     velocity = (after.torso[:, 0] - before.torso[:, 0]) / seconds
-    return velocity + _ant_healthy(after) - (0.5 * _effort(actions) + _impact(after))
+    return velocity + ~_ant_unhealthy(after) - (0.5 * _effort(actions) + _impact(after))
 
 
 def _gymnasium_model(file: str) -> mujoco.MjModel:
@@ -165,26 +150,26 @@ def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, marsh_cost: f
     return Task(model, camera, _maze_noise, observe, reward, max_episode_steps=100)
 
 
-def _point_maze(side: models.Side) -> Task:
-    return _point(lambda: models.point_maze(side), models.START, marsh_cost=0.0)
+def _maze(side: models.Side) -> Task:
+    return _point(partial(models.point_maze, side), models.START, 0.0)
 
 
-def _point_marsh(start: np.ndarray) -> Task:
-    return _point(lambda: models.point_marsh(start), start, MARSH_COST)
+def _marsh(start: np.ndarray) -> Task:
+    return _point(partial(models.point_marsh, start), start, MARSH_COST)
 
 
-def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated) -> Task:
+def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated=_never) -> Task:
     def observe(physics):
         contact = physics.contact[:, first_body:].reshape(len(physics.contact), -1)
         return np.concatenate([physics.qpos[:, 2:], physics.qvel, contact], axis=1)
 
     camera = Camera(lookat=(0, 0, 0.45), distance=3.6, azimuth=75, elevation=-22, body=1)
-    noise = _uniform_and_normal(0.1)
+    noise = _uniform_and_normal
     return Task(model, camera, noise, observe, reward, terminated, contact_forces=True)
 
 
 def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
-    return _ant(lambda: models.ant(disabled, actuator_legs), 0, _custom_ant_reward, _never)
+    return _ant(partial(models.ant, disabled, actuator_legs), 0, _custom_ant_reward)
 
 
 def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
@@ -194,15 +179,12 @@ def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
     def reward(before, actions, after, seconds):
         return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
 
-    return Task(
-        model=lambda: _gymnasium_model(file),
-        camera=Camera(lookat=(0.0, 0.0, 0.8), distance=3.2, elevation=-12, body=1),
-        noise=_uniform(5e-3),
-        observe=observe,
-        reward=reward,
-        terminated=lambda physics: ~healthy(physics),
-        frame_skip=4,
-    )
+    def terminated(physics):
+        return ~healthy(physics)
+
+    model = partial(_gymnasium_model, file)
+    camera = Camera(lookat=(0.0, 0.0, 0.8), distance=3.2, elevation=-12, body=1)
+    return Task(model, camera, _uniform, observe, reward, terminated, frame_skip=4)
 
 
 def _half_cheetah() -> Task:
@@ -212,26 +194,24 @@ def _half_cheetah() -> Task:
     def reward(before, actions, after, seconds):
         return _forward(before, after, seconds) - 0.1 * _effort(actions)
 
+    model = partial(_gymnasium_model, "half_cheetah.xml")
     camera = Camera(lookat=(0.0, 0.0, 0.45), distance=3.0, elevation=-12, body=1)
-    noise = _uniform_and_normal(0.1)
-    return Task(lambda: _gymnasium_model("half_cheetah.xml"), camera, noise, observe, reward)
+    return Task(model, camera, _uniform_and_normal, observe, reward)
 
 
 TASKS: dict[str, Task] = {
-    "offairl/PointMazeLeft-v0": _point_maze("Left"),
-    "offairl/PointMazeRight-v0": _point_maze("Right"),
+    "offairl/PointMazeLeft-v0": _maze("Left"),
+    "offairl/PointMazeRight-v0": _maze("Right"),
     "offairl/CustomAnt-v0": _custom_ant(disabled=False, actuator_legs=(4, 1, 2, 3)),
     "offairl/DisabledAnt-v0": _custom_ant(disabled=True, actuator_legs=(4, 1, 2, 3)),
     # As released: an actor trained on CustomAnt drives the wrong joints here.
     "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
-    "offairl/PointMarsh-v0": _point_marsh(models.START),
-    "offairl/PointMarshWest-v0": _point_marsh(models.WEST),
+    "offairl/PointMarsh-v0": _marsh(models.START),
+    "offairl/PointMarshWest-v0": _marsh(models.WEST),
     "HalfCheetah-v5": _half_cheetah(),
     "Hopper-v5": _biped("hopper.xml", _hopper_healthy),
     "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy),
-    "Ant-v5": _ant(
-        lambda: _gymnasium_model("ant.xml"), 1, _ant_reward, lambda after: ~_ant_healthy(after)
-    ),
+    "Ant-v5": _ant(partial(_gymnasium_model, "ant.xml"), 1, _ant_reward, _ant_unhealthy),
 }
 """The eight tasks of the paper, DisabledAnt with the actuator order of the released code, and the
 marsh from two starts."""

@@ -13,22 +13,16 @@ EXPERIMENTS: Mapping[str, Experiment] = {**robots.EXPERIMENTS, **mazes.EXPERIMEN
 
 
 def find(name: str) -> Experiment:
-    """Return an experiment by name.
-
-    Raises:
-        ValueError: there is none; the message lists those there are.
-    """
+    """Return an experiment by name; ValueError lists those there are."""
     if name not in EXPERIMENTS:
         raise ValueError(f"no experiment {name!r}; there are: {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]
 
 
 def configure(run: str, scale: Scale) -> Config:
-    """Return the configuration of a run: `EXPERIMENT`, or `EXPERIMENT/VARIANT`.
+    """Return the configuration of a run, `EXPERIMENT` or `EXPERIMENT/VARIANT`.
 
-    Raises:
-        ValueError: there is no such experiment, or no such run of it; the message lists those
-            there are.
+    If there is no such experiment, or no such run of it, a ValueError lists those there are.
     """
     name, _, variant = run.partition("/")
     experiment = find(name)

@@ -37,17 +37,10 @@ def log_likelihood(
 
     Args:
         mdp: the process; for `"paths"` with a horizon and discount 1.
-        reward: r, of the state, of the pair, or of the pair and the next state.
+        reward: r; if it is r(s), sum the gradient over the actions.
         demonstrated: ρ_E, from `planning.occupancy` or `sampling.empirical_occupancy`.
         temperature: α > 0.
         form: `"causal"` or `"paths"`.
-
-    Returns:
-        L, and its gradient (S, A). For a reward r(s), sum the gradient over the actions.
-
-    Raises:
-        ValueError: an argument is out of its range, or `demonstrated` has another sum than an
-            occupancy or visits a state that cannot be reached.
     """
     reward = mdp.expected_reward(reward)
     demonstrated = _checked(mdp, demonstrated, temperature)
@@ -55,17 +48,18 @@ def log_likelihood(
 
 
 class Fit(NamedTuple):
-    """The result of `maxent_irl`."""
+    """The result of `maxent_irl`; the reward is (S,) or (S, A), as the features are.
+
+    `history` has the weights before the first step and after each, with their log-likelihood
+    without the penalty. `mismatch` is the largest difference between demonstrated and learned
+    feature expectations.
+    """
 
     reward: Array
-    """(S,) or (S, A), as the features are."""
     weights: Float[Array, "K"]
     history: Float[Array, "I K"]
-    """The weights before the first step and after each step."""
     log_likelihood: Float[Array, "I"]
-    """The log-likelihood at these weights, without the penalty."""
     mismatch: float
-    """Largest difference between demonstrated and learned feature expectations."""
 
 
 def maxent_irl(
@@ -92,9 +86,6 @@ def maxent_irl(
         form: `"causal"` or `"paths"`.
         penalty: λ ≥ 0.
         iterations: the largest number of steps.
-
-    Raises:
-        ValueError: the features have another shape, λ is negative, or `log_likelihood` raises it.
     """
     s, a = mdp.num_states, mdp.num_actions
     if features.ndim != 2 or features.shape[0] not in (s, s * a):

@@ -15,22 +15,20 @@ MOVES = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)])
 
 
 class Maze(NamedTuple):
-    """The shifting maze as a grid, with its reward and the positions of its cells."""
+    """The shifting maze as a grid.
+
+    `positions` are the centres of the cells in metres, rows of equal y one after another:
+    `v.reshape(cells, cells)` of a state function has y along its first axis and x along its second.
+    `reward` is the true one: minus the distance from the target, in metres.
+    """
 
     mdp: MDP
     positions: Float[Array, "S 2"]
-    """Centres of the cells in metres, rows of equal y one after another: `v.reshape(cells, cells)`
-    of a state function has y along its first axis and x along its second."""
     reward: Float[Array, "S"]
-    """The true reward: minus the distance from the target, in metres."""
 
 
 def maze(
-    cells: int,
-    side: Side,
-    slip: float = 0.0,
-    discount: float = 0.97,
-    horizon: int | None = None,
+    cells: int, side: Side, slip: float = 0.0, discount: float = 0.97, horizon: int | None = None
 ) -> Maze:
     """Return the shifting maze of `envs`, cut into cells × cells squares.
 
@@ -39,15 +37,11 @@ def maze(
     states, so that a reward learned in one can be used in the other.
 
     Args:
-        cells: number of squares along each side of the maze, whose 0.7 m are divided evenly.
+        cells: number of squares, at least 3, along each side of the maze, which is 0.7 m long.
         side: the side on which the barrier is attached; `"Left"` leaves the gap on the right.
         slip: probability that the action is replaced by one of the five, drawn at random.
         discount: γ.
         horizon: number of actions in an episode, or None.
-
-    Raises:
-        ValueError: there are fewer than 3 cells, which leave no room for the barrier; the side is
-            unknown; the slip is outside [0, 1]; or `mdp.MDP` refuses the discount or the horizon.
     """
     if cells < 3:
         raise ValueError(f"the maze needs at least 3 cells a side, not {cells}")
@@ -72,7 +66,6 @@ def maze(
     move = csr_array((np.ones(arrival.size), (np.arange(arrival.size), arrival.ravel())))
     origin = np.repeat(np.arange(states), actions)
     drift = csr_array((np.full(arrival.size, 1 / actions), (origin, arrival.ravel())))
-    start = np.linalg.norm(positions - START, axis=1).argmin()
-    initial = np.eye(states)[start]
+    initial = np.eye(states)[np.linalg.norm(positions - START, axis=1).argmin()]
     mdp = MDP((1 - slip) * move + slip * drift[origin], initial, discount, horizon)
     return Maze(mdp, positions, -np.linalg.norm(positions - GOAL, axis=1))

@@ -18,10 +18,6 @@ class MDP:
         initial: distribution of the first state, (S,).
         discount: γ, from 0 to 1.
         horizon: number of actions T of an episode, or None if episodes have no end; then γ < 1.
-
-    Raises:
-        ValueError: a shape does not fit; a probability is negative or not finite, or a distribution
-            does not sum to one; the discount is out of range; or the horizon is below 1.
     """
 
     transition: csr_array
@@ -32,10 +28,10 @@ class MDP:
     def __post_init__(self):
         transition = _as_matrix(self.transition)
         rows, states = transition.shape
-        wrong = np.flatnonzero(~are_distributions(transition))
-        if len(wrong):
-            s, a = divmod(int(wrong[0]), rows // states)
-            row = transition[[wrong[0]]].toarray()
+        wrong = np.flatnonzero(~are_distributions(transition)).tolist()
+        if wrong:
+            s, a = divmod(wrong[0], rows // states)
+            row = transition[wrong[:1]].toarray()
             raise ValueError(
                 f"transition: the probabilities p(· | s={s}, a={a}) must be at least 0 and sum to "
                 f"1, but the least is {row.min():.6g} and the sum {row.sum():.6g} ({len(wrong)} of "
@@ -94,9 +90,8 @@ class MDP:
         reward = np.asarray(reward, dtype=float)
         s, a = self.num_states, self.num_actions
         if reward.shape not in ((s,), (s, a), (s, a, s)):
-            raise ValueError(
-                f"reward must have shape {(s,)}, {(s, a)} or {(s, a, s)}, not {reward.shape}"
-            )
+            wanted = f"{(s,)}, {(s, a)} or {(s, a, s)}"
+            raise ValueError(f"reward must have shape {wanted}, not {reward.shape}")
         if not np.isfinite(reward).all():
             raise ValueError("reward must be finite; to forbid an action, give it a large cost")
         if reward.ndim == 3:
@@ -104,16 +99,12 @@ class MDP:
         return np.broadcast_to(reward.T, (a, s)).T if reward.ndim == 1 else reward
 
     def checked_policy(self, policy: Array) -> Float[Array, "*T S A"]:
-        """Return a policy, with a time axis if there is a horizon.
-
-        Raises:
-            ValueError: the policy has another shape, or is not a distribution over actions.
-        """
+        """Return a policy, with a time axis if there is a horizon."""
         policy = np.asarray(policy, dtype=float)
         shape = (self.num_states, self.num_actions)
         timed = shape if self.horizon is None else (self.horizon, *shape)
         if policy.shape not in (shape, timed):
-            allowed = f"{shape}" if self.horizon is None else f"{shape} or {timed}"
+            allowed = " or ".join(map(str, dict.fromkeys((shape, timed))))
             raise ValueError(f"policy must have shape {allowed}, not {policy.shape}")
         if not are_distributions(policy.reshape(-1, shape[1])).all():
             raise ValueError(

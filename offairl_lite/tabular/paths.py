@@ -22,10 +22,8 @@ def path_messages(mdp: MDP, reward: Array, temperature: float = 1.0) -> Solution
     This is the causal solution with E[V] replaced by a soft maximum: where the dynamics are random,
     it counts on being lucky. With deterministic dynamics the two solutions are equal.
 
-    The policy of the solution holds the conditionals p(a_t | s_t) of the path distribution.
-
-    Raises:
-        ValueError: the process has no horizon or a discount below 1, or α is not above 0.
+    The policy of the solution holds the conditionals p(a_t | s_t) of the path distribution. The
+    process must have a horizon and discount 1, and α > 0.
     """
     _require_paths(mdp, temperature)
 
@@ -40,14 +38,6 @@ def path_occupancy(mdp: MDP, messages: Solution, temperature: float = 1.0) -> Fl
 
     This is not the occupancy of its policy: under the distribution over paths the dynamics are
     tilted as well, to p(s' | s, a) exp(V(s')/α) / E[exp(V/α)].
-
-    Args:
-        mdp: the process, with a horizon and discount 1.
-        messages: the result of `path_messages`.
-        temperature: the temperature α of these messages.
-
-    Raises:
-        ValueError: the process has no horizon or a discount below 1, or α is not above 0.
     """
     _require_paths(mdp, temperature)
     total, states = np.zeros(messages.policy.shape[1:]), mdp.initial

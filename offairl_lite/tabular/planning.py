@@ -16,14 +16,11 @@ _ROUNDING = 1e-12
 
 
 class Solution(NamedTuple):
-    """A policy and its soft values; with a horizon they have a leading axis, the time T."""
+    """log π(a | s), -inf where π is 0, soft V(s) and soft Q(s, a); T is there with a horizon."""
 
     log_policy: Float[Array, "*T S A"]
-    """log π(a | s); -inf where π is 0."""
     value: Float[Array, "*T S"]
-    """Soft V(s)."""
     action_value: Float[Array, "*T S A"]
-    """Soft Q(s, a)."""
 
     @property
     def policy(self) -> Float[Array, "*T S A"]:
@@ -52,10 +49,6 @@ def soft_value_iteration(
         reward: r, of the state, of the pair, or of the pair and the next state.
         temperature: α ≥ 0, in units of the reward.
         guess: V from which value iteration starts; by default 0. Not used with a horizon.
-
-    Raises:
-        ValueError: the reward has another shape or is not finite, or the temperature is negative.
-        ArithmeticError: value iteration has not converged.
     """
     reward = mdp.expected_reward(reward)
     require_temperature(temperature)
@@ -72,15 +65,13 @@ def soft_value_iteration(
     raise ArithmeticError("soft value iteration has not converged in 1000 sweeps")
 
 
-def backward_induction(
-    mdp: MDP, reward: Float[Array, "S A"], temperature: float, look_ahead
-) -> Solution:
+def backward_induction(mdp: MDP, reward: Array, temperature: float, look_ahead) -> Solution:
     """Solve Q = r + γ look_ahead(V) backwards from V_T = 0, where V is the soft maximum of Q.
 
     `look_ahead` returns (S, A) for the next value (S,), as `MDP.expect` does.
     """
     steps, value = [], np.zeros(mdp.num_states)
-    for _ in range(mdp.horizon):
+    for _ in range(mdp.horizon or 0):
         q = reward + mdp.discount * look_ahead(value)
         log_policy, value = _soft_maximum(q, temperature)
         steps.append((log_policy, value, q))
@@ -95,10 +86,6 @@ def soft_evaluation(
     V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. The
     sum begins with the entropy in the state itself, as V of `soft_value_iteration` does. With a
     temperature of 0 these are the ordinary values.
-
-    Raises:
-        ValueError: a shape does not fit the process, the policy is not a distribution over actions,
-            the reward is not finite, or the temperature is negative.
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)
@@ -109,13 +96,12 @@ def soft_evaluation(
     if mdp.horizon is None:
         value = spsolve(_flow_matrix(mdp, policy), gain)
         return Solution(log_policy, value, reward + mdp.discount * mdp.expect(value))
-    values, qs, next_value = [], [], np.zeros(mdp.num_states)
+    steps, value = [], np.zeros(mdp.num_states)
     for pi, g in zip(policy[::-1], gain[::-1], strict=True):
-        expected = mdp.discount * mdp.expect(next_value)
-        next_value = g + (pi * expected).sum(-1)
-        values.append(next_value)
-        qs.append(reward + expected)
-    return Solution(log_policy, np.stack(values[::-1]), np.stack(qs[::-1]))
+        expected = mdp.discount * mdp.expect(value)
+        value = g + (pi * expected).sum(-1)
+        steps.append((value, reward + expected))
+    return Solution(log_policy, *(np.stack(part[::-1]) for part in zip(*steps, strict=True)))
 
 
 def occupancy(mdp: MDP, policy: Float[Array, "*T S A"]) -> Float[Array, "S A"]:

@@ -10,10 +10,9 @@ from offairl_lite.tabular.mdp import MDP
 
 
 class Trajectories(NamedTuple):
-    """N demonstrations of equal length T."""
+    """N demonstrations of equal length T, with the state after the last action."""
 
     states: Int[Array, "N T+1"]
-    """The visited states, including the state after the last action."""
     actions: Int[Array, "N T"]
 
 
@@ -24,18 +23,7 @@ def sample(
     rng: np.random.Generator,
     length: int | None = None,
 ) -> Trajectories:
-    """Draw trajectories of a policy.
-
-    Args:
-        mdp: the process.
-        policy: the policy, π.
-        episodes: number of trajectories, N.
-        rng: the source of all randomness.
-        length: number of actions in each trajectory, at most the horizon, which is the default.
-
-    Raises:
-        ValueError: the policy does not fit the process, or the length does not fit the horizon.
-    """
+    """Draw N trajectories of a policy, of `length` actions each; by default the horizon."""
     policy = mdp.checked_policy(policy)
     length = mdp.horizon if length is None else length
     if length is None or not 1 <= length <= (mdp.horizon or length):
@@ -58,11 +46,8 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
     """Return the discounted counts of the demonstrated pairs (s, a), averaged over trajectories.
 
     The result estimates `planning.occupancy` and has the same sum: without a horizon the counts of
-    T actions are divided by 1 - γ^T, as if everything later were like the recorded part.
-
-    Raises:
-        ValueError: the shapes do not fit each other or the horizon; a state or an action does not
-            exist in the process; or a trajectory has a start or a step of probability 0.
+    T actions are divided by 1 - γ^T, as if everything later were like the recorded part. It is a
+    ValueError if the trajectories cannot be from this process.
     """
     states, actions = (np.asarray(part) for part in trajectories)
     _require_possible(mdp, states, actions)
@@ -89,19 +74,18 @@ def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
         )
     limits = ("state", states, mdp.num_states), ("action", actions, mdp.num_actions)
     for name, index, bound in limits:
-        if index.min() < 0 or index.max() >= bound:
-            raise ValueError(
-                f"a {name} must be from 0 to {bound - 1}, but they are from {index.min()} to "
-                f"{index.max()}"
-            )
-    for t in range(length):
-        rows = mdp.transition[states[:, t] * mdp.num_actions + actions[:, t]].toarray()
-        for n in np.flatnonzero(rows[np.arange(len(rows)), states[:, t + 1]] == 0):
-            raise ValueError(
-                f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
-                f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that "
-                "it was recorded in this process"
-            )
+        low, high = index.min(), index.max()
+        if low < 0 or high >= bound:
+            found = f"they are from {low} to {high}"
+            raise ValueError(f"a {name} must be from 0 to {bound - 1}, but {found}")
+    pairs = states[:, :-1] * mdp.num_actions + actions
+    chance = mdp.transition[pairs.ravel(), states[:, 1:].ravel()]
+    for n, t in np.argwhere(chance.reshape(actions.shape) == 0):
+        raise ValueError(
+            f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
+            f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that it "
+            "was recorded in this process"
+        )
     for n in np.flatnonzero(mdp.initial[states[:, 0]] == 0):
         raise ValueError(
             f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"

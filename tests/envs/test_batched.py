@@ -135,7 +135,7 @@ def test_reset_seeds_as_gymnasium_does():
     mixed, _ = env.reset(seed=[4, None, 4])
     np.testing.assert_array_equal(mixed[[0, 2]], first[[0, 0]])
     np.testing.assert_array_equal(mixed[1], second[1])
-    with pytest.raises(ValueError, match="a seed for each of 3 members"):
+    with pytest.raises(ValueError, match="one seed for each of 3 members"):
         env.reset(seed=[1, 2])
 
 
@@ -270,7 +270,7 @@ def test_actions_of_another_shape_or_kind_are_errors(actions):
         ({"num_threads": 0}, "at least 1"),
         ({"autoreset_mode": AutoresetMode.SAME_STEP}, "NEXT_STEP or DISABLED"),
         ({"render_mode": "human"}, "'rgb_array'"),
-        ({"seeds": [1, 2]}, "a seed for each of 1 members"),
+        ({"seeds": [1, 2]}, "one seed for each of 1 members"),
     ],
 )
 def test_bad_arguments_are_errors(arguments, message):

@@ -199,7 +199,7 @@ def test_resets_take_what_both_kinds_take(env_id):
     masked, _ = env.reset(seed=[9, 4, 9], options=options)
     equal([masked], [first[[0, 0, 2]]])
     assert list(options) == ["reset_mask"]
-    with pytest.raises(ValueError, match="a seed for each of 3 members"):
+    with pytest.raises(ValueError, match="one seed for each of 3 members"):
         env.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="reset_mask must be"):
         env.reset(options={"reset_mask": np.zeros(3, bool)})
