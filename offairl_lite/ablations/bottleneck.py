@@ -1,7 +1,7 @@
 """The variational discriminator bottleneck (Peng et al. 2019): a stochastic code of few nats."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,23 +22,19 @@ from offairl_lite.core.discriminator import (
 )
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Metrics, Params, PerMember, Scalar, Vector
 
 
 def expected_cross_entropy(
-    expert_logit: Float[Tensor, "S B"],
-    policy_logit: Float[Tensor, "S B"],
-    expert_variance: Float[Tensor, "S B"],
-    policy_variance: Float[Tensor, "S B"],
+    expert_logit: Vector,
+    policy_logit: Vector,
+    expert_variance: Vector,
+    policy_variance: Vector,
     quadrature: Float[Tensor, "2 K"],
-) -> Float[Tensor, "S"]:
+) -> PerMember:
     """Return the mean of the cross-entropy for Gaussian logits of these means and variances.
 
-    Args:
-        expert_logit: means on the expert's side.
-        policy_logit: means on the policy's side.
-        expert_variance: of the expert's logits.
-        policy_variance: of the policy's logits.
-        quadrature: nodes and weights, as of `gauss_hermite`.
+    `quadrature` has nodes and weights, as of `gauss_hermite`.
     """
     nodes, weights = quadrature
     sides = (expert_logit, expert_variance), (policy_logit, policy_variance)
@@ -61,11 +57,7 @@ class Code:
     """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²) (Peng et al. 2019).
 
     At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
-
-    Args:
-        sizes: of `net`: features of the input, of each hidden layer, and 1.
-        code: numbers in z.
-        activation: of the hidden layers.
+    `sizes` are those of `net`, and `code` is the dimension of z.
     """
 
     sizes: tuple[int, ...]
@@ -87,32 +79,31 @@ class Code:
         """From z to the scalar."""
         return StackedMLP((self.code, 1))
 
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Params:
         """Draw the weights of encoder and head."""
         return torch.cat([self.encoder.init(rng), self.head.init(rng)], 1)
 
-    def at_mean(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S Q"]:
+    def _parts(self, params: Params) -> tuple[Params, Tensor, Tensor]:
+        """Return the encoder's weights, and the head's bias and weight."""
+        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
+        return encoder, *self.head.layers(head)[0]
+
+    def at_mean(self, params: Params) -> Params:
         """Return the weights of `net`: the head's and those of μ are one linear layer."""
-        encoder, ((head_bias, head_weight),) = self._parts(params)
+        encoder, head_bias, head_weight = self._parts(params)
         *_, (bias, weight) = self.encoder.layers(encoder)
         bias = bias[..., : self.code] @ head_weight + head_bias
         weight = weight[..., : self.code] @ head_weight
         kept = self.net.num_params - self.sizes[-2] - 1
         return torch.cat([encoder[:, :kept], bias.flatten(1), weight.flatten(1)], 1)
 
-    def spread(
-        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
-    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+    def spread(self, params: Params, x: Float[Tensor, "S B in"]) -> tuple[Vector, Vector]:
         """Return the scalar's variance, and KL(N(μ, σ²) ‖ N(0, I)) of the code in nats."""
-        encoder, ((_, head_weight),) = self._parts(params)
+        encoder, _, head_weight = self._parts(params)
         mean, log_std = self.encoder(encoder, x).chunk(2, -1)
         variance = (2 * log_std).exp()
         divergence = (mean.square() + variance - 1).sum(-1) / 2 - log_std.sum(-1)
         return (variance * head_weight.square().transpose(1, 2)).sum(-1), divergence
-
-    def _parts(self, params: Float[Tensor, "S P"]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
-        return encoder, self.head.layers(head)
 
 
 @dataclass(frozen=True)
@@ -146,9 +137,11 @@ class Bottleneck(Discriminator):
     `multiplier`, β, is the price of a nat, raised by dual ascent while there are too many.
     """
 
-    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    config: BottleneckConfig
+
+    def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights of encoders and heads."""
-        size, activation = self.config.bottleneck_size, self.reward_net.activation
+        size, activation = self.config.bottleneck_size, self.config.activation
         nets = self.reward_net, self.value_net
         self.reward_code, self.value_code = (Code(net.sizes, size, activation) for net in nets)
         self.multiplier = torch.zeros(len(rng), 1, device=rng.device)
@@ -161,16 +154,16 @@ class Bottleneck(Discriminator):
         return super().state | {"multiplier": self.multiplier}
 
     @property
-    def reward_weights(self) -> Float[Tensor, "S P"]:
+    def reward_weights(self) -> Params:
         """The weights of `reward_net`, which r is at the code's mean."""
         return self.reward_code.at_mean(self.reward_params)
 
     @property
-    def value_weights(self) -> Float[Tensor, "S Q"]:
+    def value_weights(self) -> Params:
         """The weights of `value_net`, which V is at the code's mean."""
         return self.value_code.at_mean(self.value_params)
 
-    def spread(self, transitions: Transitions) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+    def spread(self, transitions: Transitions) -> tuple[Vector, Vector]:
         """Return the variance of f through the code, and the code's divergence in nats."""
         x = self.reward_input(transitions)
         variance, divergence = self.reward_code.spread(self.reward_params, x)
@@ -182,15 +175,16 @@ class Bottleneck(Discriminator):
         variance = variance + now + self.config.discount**2 * then
         return variance, divergence + divergence_now + divergence_then
 
-    def loss(self, judgement: Judgement) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
+    def loss(self, judgement: Judgement) -> tuple[Scalar, Metrics]:
         """Return the expected loss over codes, plus β (KL - I_c), and diagnostics.
 
         The penalty, where there is one, is that at the code's mean.
         """
         transitions, expert_logit, policy_logit, grad_norm = judgement
         variance, divergence = self.spread(transitions)
+        of_expert, of_policy = variance.chunk(2, 1)
         cross_entropy = expected_cross_entropy(
-            expert_logit, policy_logit, *variance.chunk(2, 1), self.quadrature
+            expert_logit, policy_logit, of_expert, of_policy, self.quadrature
         )
         weight = self.config.gradient_penalty
         penalty = airl_loss(expert_logit, policy_logit, grad_norm, weight).penalty
@@ -201,7 +195,7 @@ class Bottleneck(Discriminator):
         metrics |= {"excess": excess.detach(), "multiplier": multiplier.clone()}
         return (loss.total + multiplier * excess).sum(), metrics
 
-    def update(self, *minibatch) -> dict[str, Float[Tensor, "S"]]:
+    def update(self, *minibatch: Any) -> Metrics:
         """Take one step down the loss, and one up with the multiplier."""
         metrics = super().update(*minibatch)
         with torch.no_grad():
@@ -210,6 +204,4 @@ class Bottleneck(Discriminator):
         return metrics
 
 
-@make_discriminator.register
-def _(config: BottleneckConfig, *given, **named) -> Bottleneck:
-    return Bottleneck(config, *given, **named)
+make_discriminator.register(BottleneckConfig, Bottleneck)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from offairl_lite.core.discriminator import Discriminator, Transitions, make_dis
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Metrics, Params, Vector
 
 
 @dataclass(frozen=True)
@@ -25,15 +27,9 @@ class OneSidedConfig(DiscriminatorConfig):
 class OneSided(Discriminator):
     """Punishes only slopes above 1, max(0, ‖∇f‖ - 1)²: flat is no fault (Petzka et al. 2018)."""
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Float[Tensor, "S B"]:
+    def gradient_norm(self, *between: Any) -> Vector:
         """Return ‖∇f‖, or 1 where it is smaller."""
-        return super().gradient_norm(expert, policy, log_probs, coefficient).clamp(min=1)
+        return super().gradient_norm(*between).clamp(min=1)
 
 
 @dataclass(frozen=True)
@@ -58,19 +54,16 @@ class OnProbability(Discriminator):
         self,
         expert: Transitions,
         policy: Transitions,
-        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
+        log_probs: tuple[Vector, Vector],
         coefficient: Float[Tensor, "S B 4"],
-    ) -> Float[Tensor, "S B"]:
+    ) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
-        *shares, share = coefficient.unbind(-1)
-        mixed = [
-            torch.lerp(p, e, c.unsqueeze(-1))
-            for e, p, c in zip(expert, policy, shares, strict=True)
-        ]
-        logit, gradients = self.f_and_gradients(Transitions(*mixed))
+        *shares, share = coefficient.split(1, -1)
+        parts = zip(policy, expert, shares, strict=True)
+        logit, gradients = self.f_and_gradients(Transitions(*(torch.lerp(*x) for x in parts)))
         if self.has_policy:
-            expert_log_prob, policy_log_prob = log_probs
-            logit = log_odds(logit, torch.lerp(policy_log_prob, expert_log_prob, share))
+            of_expert, of_policy = log_probs
+            logit = log_odds(logit, torch.lerp(of_policy, of_expert, share.squeeze(-1)))
         d = torch.sigmoid(logit)
         square = gradients.obs.square().sum(-1) * (d * (1 - d)).square()
         return (square + TINY).sqrt()
@@ -83,16 +76,14 @@ def init_vectors(net: StackedMLP, rng: Rng) -> Float[Tensor, "S V"]:
 
 @torch.no_grad()
 def power_iteration(
-    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
+    net: StackedMLP, params: Params, vectors: Float[Tensor, "S V"]
 ) -> Float[Tensor, "S V"]:
     """Turn unit vectors towards each weight matrix's first right singular vector."""
     pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)
     return _unit([(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs])
 
 
-def spectrally_normalised(
-    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
-) -> Float[Tensor, "S P"]:
+def spectrally_normalised(net: StackedMLP, params: Params, vectors: Float[Tensor, "S V"]) -> Params:
     """Return `params` with each weight matrix divided by its largest singular value.
 
     That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, with u held
@@ -106,7 +97,7 @@ def spectrally_normalised(
     return torch.cat(parts, 1)
 
 
-def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
+def _unit(parts: Sequence[Tensor]) -> Tensor:
     return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
 
 
@@ -130,7 +121,7 @@ class SpectralNorm(Discriminator):
     The slopes of both are then at most 1.
     """
 
-    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights, and vectors for the power iteration."""
         params = super().init(rng)
         self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]
@@ -143,16 +134,16 @@ class SpectralNorm(Discriminator):
         return super().state | dict(vectors)
 
     @property
-    def reward_weights(self) -> Float[Tensor, "S P"]:
+    def reward_weights(self) -> Params:
         """The weights of `reward_net`, made of those that are trained."""
         return spectrally_normalised(self.reward_net, self.reward_params, self.vectors[0])
 
     @property
-    def value_weights(self) -> Float[Tensor, "S Q"]:
+    def value_weights(self) -> Params:
         """The weights of `value_net`, made of those that are trained."""
         return spectrally_normalised(self.value_net, self.value_params, self.vectors[1])
 
-    def update(self, *minibatch) -> dict[str, Float[Tensor, "S"]]:
+    def update(self, *minibatch: Any) -> Metrics:
         """Turn the vectors towards the singular ones, and take one step down the loss."""
         trained = (self.reward_net, self.reward_params), (self.value_net, self.value_params)
         for (net, params), vectors in zip(trained, self.vectors, strict=True):
@@ -160,16 +151,6 @@ class SpectralNorm(Discriminator):
         return super().update(*minibatch)
 
 
-@make_discriminator.register
-def _(config: OneSidedConfig, *given, **named) -> OneSided:
-    return OneSided(config, *given, **named)
-
-
-@make_discriminator.register
-def _(config: OnProbabilityConfig, *given, **named) -> OnProbability:
-    return OnProbability(config, *given, **named)
-
-
-@make_discriminator.register
-def _(config: SpectralNormConfig, *given, **named) -> SpectralNorm:
-    return SpectralNorm(config, *given, **named)
+make_discriminator.register(OneSidedConfig, OneSided)
+make_discriminator.register(OnProbabilityConfig, OnProbability)
+make_discriminator.register(SpectralNormConfig, SpectralNorm)
