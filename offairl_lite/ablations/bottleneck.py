@@ -1,7 +1,7 @@
 """The variational discriminator bottleneck (Peng et al. 2019): a stochastic code of few nats."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,8 +45,7 @@ def expected_cross_entropy(
 def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
     """Return nodes and weights of the mean over a standard normal variable.
 
-    With 32, the mean softplus of a normal variable is exact to 1e-3 up to a standard
-    deviation of 5.
+    With 32, the mean softplus is exact to 1e-3 up to a standard deviation of 5.
     """
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
@@ -57,27 +56,20 @@ class Code:
     """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²) (Peng et al. 2019).
 
     At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
-    `sizes` are those of `net`, and `code` is the dimension of z.
     """
 
-    sizes: tuple[int, ...]
-    code: int
-    activation: Literal["relu", "tanh"] = "relu"
-
-    @property
-    def net(self) -> StackedMLP:
-        """What is left when z is its mean."""
-        return StackedMLP(self.sizes, self.activation)
+    net: StackedMLP
+    size: int
 
     @property
     def encoder(self) -> StackedMLP:
         """From x to μ and log σ."""
-        return StackedMLP((*self.sizes[:-1], 2 * self.code), self.activation)
+        return StackedMLP((*self.net.sizes[:-1], 2 * self.size), self.net.activation)
 
     @property
     def head(self) -> StackedMLP:
         """From z to the scalar."""
-        return StackedMLP((self.code, 1))
+        return StackedMLP((self.size, 1))
 
     def init(self, rng: Rng) -> Params:
         """Draw the weights of encoder and head."""
@@ -92,9 +84,9 @@ class Code:
         """Return the weights of `net`: the head's and those of μ are one linear layer."""
         encoder, head_bias, head_weight = self._parts(params)
         *_, (bias, weight) = self.encoder.layers(encoder)
-        bias = bias[..., : self.code] @ head_weight + head_bias
-        weight = weight[..., : self.code] @ head_weight
-        kept = self.net.num_params - self.sizes[-2] - 1
+        bias = bias[..., : self.size] @ head_weight + head_bias
+        weight = weight[..., : self.size] @ head_weight
+        kept = self.net.num_params - self.net.sizes[-2] - 1
         return torch.cat([encoder[:, :kept], bias.flatten(1), weight.flatten(1)], 1)
 
     def spread(self, params: Params, x: Float[Tensor, "S B in"]) -> tuple[Vector, Vector]:
@@ -141,9 +133,8 @@ class Bottleneck(Discriminator):
 
     def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights of encoders and heads."""
-        size, activation = self.config.bottleneck_size, self.config.activation
-        nets = self.reward_net, self.value_net
-        self.reward_code, self.value_code = (Code(net.sizes, size, activation) for net in nets)
+        size = self.config.bottleneck_size
+        self.reward_code, self.value_code = Code(self.reward_net, size), Code(self.value_net, size)
         self.multiplier = torch.zeros(len(rng), 1, device=rng.device)
         self.quadrature = gauss_hermite().to(rng.device)
         return self.reward_code.init(rng), self.value_code.init(rng)
@@ -154,14 +145,10 @@ class Bottleneck(Discriminator):
         return super().state | {"multiplier": self.multiplier}
 
     @property
-    def reward_weights(self) -> Params:
-        """The weights of `reward_net`, which r is at the code's mean."""
-        return self.reward_code.at_mean(self.reward_params)
-
-    @property
-    def value_weights(self) -> Params:
-        """The weights of `value_net`, which V is at the code's mean."""
-        return self.value_code.at_mean(self.value_params)
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, which r and V are at the code's mean."""
+        value = self.value_code.at_mean(self.value_params)
+        return self.reward_code.at_mean(self.reward_params), value
 
     def spread(self, transitions: Transitions) -> tuple[Vector, Vector]:
         """Return the variance of f through the code, and the code's divergence in nats."""
@@ -183,12 +170,12 @@ class Bottleneck(Discriminator):
         transitions, expert_logit, policy_logit, grad_norm = judgement
         variance, divergence = self.spread(transitions)
         of_expert, of_policy = variance.chunk(2, 1)
-        cross_entropy = expected_cross_entropy(
+        expected = expected_cross_entropy(
             expert_logit, policy_logit, of_expert, of_policy, self.quadrature
         )
         weight = self.config.gradient_penalty
         penalty = airl_loss(expert_logit, policy_logit, grad_norm, weight).penalty
-        loss = Loss(cross_entropy + weight * penalty, cross_entropy, penalty)
+        loss = Loss(expected + weight * penalty, expected, penalty)
         excess = divergence.mean(-1) - self.config.bottleneck
         multiplier = self.multiplier.squeeze(-1)
         metrics = diagnostics(loss, expert_logit, policy_logit)

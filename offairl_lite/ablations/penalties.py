@@ -40,10 +40,7 @@ class OnProbabilityConfig(DiscriminatorConfig):
 
 
 class OnProbability(Discriminator):
-    """The released penalty: ‖∇_s D‖ of the probability, by the state alone.
-
-    s, a, s' and log π are mixed with a coefficient of their own each.
-    """
+    """The released penalty: ‖∇_s D‖; s, a, s' and log π have a mixing coefficient each."""
 
     @property
     def needs_log_prob(self) -> bool:
@@ -116,10 +113,7 @@ class SpectralNormConfig(DiscriminatorConfig):
 
 
 class SpectralNorm(Discriminator):
-    """Divides each weight matrix of r and V by its largest singular value (Miyato et al. 2018).
-
-    The slopes of both are then at most 1.
-    """
+    """Divides each weight matrix of r and V by its largest singular value: slopes are at most 1."""
 
     def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights, and vectors for the power iteration."""
@@ -130,24 +124,21 @@ class SpectralNorm(Discriminator):
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
-        vectors = zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
-        return super().state | dict(vectors)
+        of_reward, of_value = self.vectors
+        return super().state | {"reward.vectors": of_reward, "value.vectors": of_value}
 
     @property
-    def reward_weights(self) -> Params:
-        """The weights of `reward_net`, made of those that are trained."""
-        return spectrally_normalised(self.reward_net, self.reward_params, self.vectors[0])
-
-    @property
-    def value_weights(self) -> Params:
-        """The weights of `value_net`, made of those that are trained."""
-        return spectrally_normalised(self.value_net, self.value_params, self.vectors[1])
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, made of those that are trained."""
+        of_reward, of_value = self.vectors
+        reward = spectrally_normalised(self.reward_net, self.reward_params, of_reward)
+        return reward, spectrally_normalised(self.value_net, self.value_params, of_value)
 
     def update(self, *minibatch: Any) -> Metrics:
         """Turn the vectors towards the singular ones, and take one step down the loss."""
-        trained = (self.reward_net, self.reward_params), (self.value_net, self.value_params)
-        for (net, params), vectors in zip(trained, self.vectors, strict=True):
-            vectors.copy_(power_iteration(net, params, vectors))
+        of_reward, of_value = self.vectors
+        of_reward.copy_(power_iteration(self.reward_net, self.reward_params, of_reward))
+        of_value.copy_(power_iteration(self.value_net, self.value_params, of_value))
         return super().update(*minibatch)
 
 

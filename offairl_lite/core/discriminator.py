@@ -92,15 +92,9 @@ class Judgement(NamedTuple):
 class Discriminator:
     """r and V of `S` members, and how they are trained.
 
-    Args:
-        config: its settings; `reward` chooses the variant.
-        obs_dim: O, with the absorbing indicator where there is one.
-        action_dim: A.
-        rng: for the initial weights.
-        normaliser: scales every observation that comes in. The penalty holds ‖∇f‖ near 1 in the
-            coordinates that it gives, so their scale is part of the algorithm.
-        horizon: steps that are judged together: an episode's for GAN-GCL, otherwise 1.
-        env_id: the task, for the rewards that are learned.
+    `normaliser` scales every observation that comes in. The penalty holds ‖∇f‖ near 1 in the
+    coordinates that it gives, so their scale is part of the algorithm. `horizon` steps are judged
+    together: an episode's for GAN-GCL, otherwise 1. `env_id` names the rewards that are learned.
     """
 
     def __init__(
@@ -147,14 +141,10 @@ class Discriminator:
         return optimizer_states(reward=self.reward_optimizer, value=self.value_optimizer)
 
     @property
-    def reward_weights(self) -> Params:
-        """The weights of `reward_net`, made of those that are trained."""
-        return self.reward_params if self.mask is None else self.reward_params * self.mask
-
-    @property
-    def value_weights(self) -> Params:
-        """The weights of `value_net`, made of those that are trained."""
-        return self.value_params
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, made of those that are trained."""
+        seeing = self.reward_params if self.mask is None else self.reward_params * self.mask
+        return seeing, self.value_params
 
     def seen(self, batch: Batch) -> Transitions:
         """Return transitions as the discriminator sees them."""
@@ -168,23 +158,24 @@ class Discriminator:
 
     def f(self, transitions: Transitions) -> Vector:
         """Return f(s, a, s') = r + γ V(s') - V(s); without AIRL there is no shaping."""
-        r = self.reward_net(self.reward_weights, self.reward_input(transitions)).squeeze(-1)
+        of_reward, of_value = self.weights
+        r = self.reward_net(of_reward, self.reward_input(transitions)).squeeze(-1)
         if not self.is_airl:
             return r
         states = torch.cat([transitions.obs, transitions.next_obs], 1)
-        value, next_value = self.value_net(self.value_weights, states).squeeze(-1).chunk(2, 1)
+        value, next_value = self.value_net(of_value, states).squeeze(-1).chunk(2, 1)
         return shaped_reward(r, value, next_value, self.config.discount)
 
     def f_and_gradients(self, transitions: Transitions) -> tuple[Vector, Transitions]:
         """Return f and its gradients ∇f by s, a and s'."""
-        obs, _, next_obs = transitions
+        (obs, _, next_obs), (of_reward, of_value) = transitions, self.weights
         x, obs_dim = self.reward_input(transitions), obs.shape[-1]
-        r, slope = self.reward_net.value_and_input_gradient(self.reward_weights, x)
+        r, slope = self.reward_net.value_and_input_gradient(of_reward, x)
         by_obs, by_action = slope[..., :obs_dim], slope[..., obs_dim:]
         if not self.is_airl:
             return r, Transitions(by_obs, by_action, torch.zeros_like(by_obs))
         states = torch.cat([obs, next_obs], 1)
-        both = self.value_net.value_and_input_gradient(self.value_weights, states)
+        both = self.value_net.value_and_input_gradient(of_value, states)
         (value, next_value), (slope, next_slope) = (part.chunk(2, 1) for part in both)
         f = shaped_reward(r, value, next_value, self.config.discount)
         return f, Transitions(by_obs - slope, by_action, self.config.discount * next_slope)
@@ -200,11 +191,8 @@ class Discriminator:
         log_probs: tuple[Vector, Vector],
         coefficient: Float[Tensor, "S B 4"],
     ) -> Vector:
-        """Return ‖∇f‖ at a random point between each expert's and policy's transition.
-
-        `coefficient` is uniform in [0, 1); here its first column serves for s, a and s'.
-        """
-        share = coefficient[..., :1]
+        """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
+        share = coefficient[..., :1]  # for s, a and s' alike
         mixed = Transitions(*(torch.lerp(p, e, share) for e, p in zip(expert, policy, strict=True)))
         gradients = self.f_and_gradients(mixed)[1]
         by_obs, by_action, by_next_obs = (part.square().sum(-1) for part in gradients)
@@ -218,7 +206,11 @@ class Discriminator:
         policy_log_prob: Vector,
         coefficient: Float[Tensor, "S B 4"],
     ) -> Judgement:
-        """Return logits and ‖∇f‖, from which the loss is made; arguments as for `update`."""
+        """Return logits and ‖∇f‖, from which the loss is made.
+
+        Both log π, or what stands for it (`DiscriminatorConfig.loss`), are looked at where
+        `needs_log_prob`. `coefficient`, uniform in [0, 1), says where the penalty is taken.
+        """
         sides = self.seen(expert), self.seen(policy)
         both = Transitions(*(torch.cat(parts, 1) for parts in zip(*sides, strict=True)))
         expert_f, policy_f = self.f(both).chunk(2, 1)
@@ -236,17 +228,12 @@ class Discriminator:
         return loss.total.sum(), diagnostics(loss, expert_logit, policy_logit)
 
     def update(self, *minibatch: Any) -> Metrics:
-        """Take one step down the loss.
-
-        Args:
-            minibatch: expert and policy transitions; log π of the expert's and of the policy's
-                actions, or what stands for it (`DiscriminatorConfig.loss`), which may be None
-                unless `needs_log_prob`; and numbers uniform in [0, 1), where between both sides
-                the penalty is taken.
-        """
+        """Take one step down the loss of a minibatch, which `judge` describes."""
         loss, metrics = self.loss(self.judge(*minibatch))
-        trained = (self.reward_optimizer, self.value_optimizer)[: 2 if self.is_airl else 1]
-        descend(loss, *trained)
+        if self.is_airl:
+            descend(loss, self.reward_optimizer, self.value_optimizer)
+        else:
+            descend(loss, self.reward_optimizer)
         return metrics
 
     @torch.no_grad()
@@ -263,7 +250,7 @@ class Discriminator:
     @property
     def frozen(self) -> Reward:
         """r as it is now; later updates do not change it."""
-        params = self.reward_weights.detach().clone()
+        params = self.weights[0].detach().clone()
         return Reward(self.env_id, self.reward_net, self.state_only, params, self.normaliser)
 
 

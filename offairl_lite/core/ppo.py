@@ -2,8 +2,7 @@
 
 The on-policy learner, as GAIL and the first AIRL had one: it learns from the steps that the
 present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
-so that log π is the same thing for the discriminator whoever trains the policy. Losses are summed
-over members and averaged over the batch, so that members do not influence one another.
+so that log π is the same thing for the discriminator whoever trains the policy.
 """
 
 from typing import NamedTuple
@@ -17,6 +16,7 @@ from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, op
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.sac import critic_loss
 from offairl_lite.core.shapes import Action, Metrics, Obs, Params, Scalar, Vector
 
 CLIP = 0.2
@@ -74,11 +74,6 @@ def clipped_surrogate(
     return -torch.minimum(ratio * advantage, clipped * advantage).mean(-1).sum()
 
 
-def value_loss(value: Vector, target: Vector) -> Scalar:
-    """Return E (V - y)²."""
-    return (value - target).square().mean(-1).sum()
-
-
 class Rollout(NamedTuple):
     """Steps of the present policy, with all that they teach; advantages are standardised."""
 
@@ -134,16 +129,13 @@ class PPO:
         return Rollout(obs, block.pre_tanh, log_prob, scaled, advantage + value)
 
     def update(self, minibatch: Rollout, noise: Action) -> Metrics:
-        """Take one step with the actor and one with the value network.
-
-        `noise` is standard normal, for the actions at which the entropy is estimated.
-        """
+        """Take a step with actor and value network; `noise` is to estimate the entropy."""
         obs, pre_tanh, old_log_prob, advantage, target = minibatch
         log_prob = self.actor.log_prob(self.actor_params, obs, pre_tanh)
         entropy = -self.actor.sample(self.actor_params, obs, noise)[1].mean(-1)
         surrogate = clipped_surrogate(log_prob, old_log_prob, advantage, CLIP)
         descend(surrogate - self.config.temperature * entropy.sum(), self.actor_optimizer)
         value = self.critic(self.critic_params, obs).squeeze(-1)
-        descend(value_loss(value, target), self.critic_optimizer)
+        descend(critic_loss(value, target), self.critic_optimizer)
         loss = (value.detach() - target).square().mean(-1)
         return {"critic_loss": loss, "q": value.detach().mean(-1)}

@@ -40,8 +40,8 @@ def bellman_target(
     return reward + discount * (1 - terminated) * next_value
 
 
-def critic_loss(q: TwinQ, target: Vector) -> Scalar:
-    """Return J_Q = E (Q - y)², summed over both critics."""
+def critic_loss(q: TwinQ | Vector, target: Vector) -> Scalar:
+    """Return J_Q = E (Q - y)², summed over both critics; PPO has one."""
     return (q - target).square().mean(-1).sum()
 
 
@@ -63,13 +63,8 @@ def temperature_loss(
 class OffPolicy:
     """What SAC and TD3 have in common: actor, twin critics and their targets of `S` members.
 
-    Args:
-        config: its settings.
-        obs_dim: O, with the absorbing indicator where there is one.
-        action_dim: A.
-        rng: for the initial weights.
-        normaliser: scales every observation that comes in, but not the absorbing indicator.
-        absorbing: what follows a termination, as in `Schedule.absorbing`.
+    `normaliser` scales every observation that comes in, but not the absorbing indicator, which
+    `obs_dim` counts. `absorbing` is what follows a termination, as in `Schedule.absorbing`.
     """
 
     def __init__(
@@ -84,8 +79,7 @@ class OffPolicy:
         self.config, self.normaliser, self.absorbing = config, normaliser, absorbing
         self.actor = make_actor(config, obs_dim, action_dim)
         self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
-        self.actor_params = self.actor.init(rng)
-        self.critic_params = self.critic.init(rng)
+        self.actor_params, self.critic_params = self.actor.init(rng), self.critic.init(rng)
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
@@ -99,14 +93,10 @@ class OffPolicy:
     def update(
         self, batch: Batch, reward: Vector, absorbing_reward: Column, noise: Action, delayed: bool
     ) -> Metrics:
-        """Train the critics and, if it is their turn, the actor and what follows slowly.
+        """Train the critics and, if it is their turn (`delayed`), the actor and all targets.
 
-        Args:
-            batch: transitions; their own reward is not looked at.
-            reward: what to maximise.
-            absorbing_reward: r(s_a), used where `absorbing` is `analytic`.
-            noise: standard normal, axes `2 S B A`: for the next actions and for the actor's own.
-            delayed: whether it is the turn of actor and targets.
+        `reward` is to be maximised; that of `batch` is not looked at. `absorbing_reward` is r(s_a).
+        `noise` is standard normal: that of the next actions and that of the actor's own.
         """
         obs = self.normaliser(batch.obs)
         target = self.target(batch, reward, absorbing_reward, noise[0])
@@ -133,7 +123,7 @@ class OffPolicy:
         return target
 
     def still(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
-        """Return actions and log π, with 0 for them in the absorbing state, if there is one."""
+        """Return actions and log π, with 0 for both in the absorbing state."""
         return decided if self.absorbing == "none" else hold_still(obs, *decided)
 
     def value(self, obs: Obs, noise: Action) -> Vector:
@@ -146,7 +136,7 @@ class OffPolicy:
 
 
 class SAC(OffPolicy):
-    """Actor, twin critics, their targets and the temperature of `S` members; see `OffPolicy`."""
+    """Actor, twin critics, their targets and the temperature of `S` members."""
 
     config: SACConfig
 
@@ -172,7 +162,7 @@ class SAC(OffPolicy):
         return self.still(obs, density(actor_params, obs, pre_tanh))[0]
 
     def update(self, *minibatch: Any) -> Metrics:
-        """Train critics, actor, temperature and targets; see `OffPolicy.update`."""
+        """Make the update of `OffPolicy`; the temperature is reported as it was before."""
         temperature = self.log_alpha.detach().exp().squeeze(-1)
         return super().update(*minibatch) | {"temperature": temperature}
 
