@@ -10,7 +10,14 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.discriminator import Discriminator, Transitions, make_discriminator
+from offairl_lite.core.discriminator import (
+    Discriminator,
+    LogProbs,
+    Mixing,
+    Sides,
+    Transitions,
+    make_discriminator,
+)
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Rng
@@ -47,17 +54,11 @@ class OnProbability(Discriminator):
         """Whether the loss contains log π: the penalty does, where there is a policy."""
         return self.has_policy
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Vector, Vector],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Vector:
+    def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
         *shares, share = coefficient.split(1, -1)
-        parts = zip(policy, expert, shares, strict=True)
-        logit, gradients = self.f_and_gradients(Transitions(*(torch.lerp(*x) for x in parts)))
+        parts = (torch.lerp(p, e, c) for e, p, c in zip(*sides, shares, strict=True))
+        logit, gradients = self.f_and_gradients(Transitions(*parts))
         if self.has_policy:
             of_expert, of_policy = log_probs
             logit = log_odds(logit, torch.lerp(of_policy, of_expert, share.squeeze(-1)))
@@ -66,21 +67,23 @@ class OnProbability(Discriminator):
         return (square + TINY).sqrt()
 
 
-def init_vectors(net: StackedMLP, rng: Rng) -> Float[Tensor, "S V"]:
-    """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
+Vectors = Float[Tensor, "S V"]
+"""A unit vector for each layer, as long as its output, end to end."""
+
+
+def init_vectors(net: StackedMLP, rng: Rng) -> Vectors:
+    """Draw unit vectors for `power_iteration`."""
     return _unit(rng.normal(sum(net.sizes[1:])).split(net.sizes[1:], 1))
 
 
 @torch.no_grad()
-def power_iteration(
-    net: StackedMLP, params: Params, vectors: Float[Tensor, "S V"]
-) -> Float[Tensor, "S V"]:
+def power_iteration(net: StackedMLP, params: Params, vectors: Vectors) -> Vectors:
     """Turn unit vectors towards each weight matrix's first right singular vector."""
     pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)
     return _unit([(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs])
 
 
-def spectrally_normalised(net: StackedMLP, params: Params, vectors: Float[Tensor, "S V"]) -> Params:
+def spectrally_normalised(net: StackedMLP, params: Params, vectors: Vectors) -> Params:
     """Return `params` with each weight matrix divided by its largest singular value.
 
     That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, with u held

@@ -80,6 +80,14 @@ class Transitions(NamedTuple):
     next_obs: Obs
 
 
+Sides = tuple[Transitions, Transitions]
+LogProbs = tuple[Vector, Vector]
+"""Of the expert and of the policy."""
+
+Mixing = Float[Tensor, "S B 4"]
+"""Uniform in [0, 1): where s, a, s' and log π are, from the policy's (0) to the expert's (1)."""
+
+
 class Judgement(NamedTuple):
     """What a discriminator says of a minibatch of the expert's and one of the policy's."""
 
@@ -181,19 +189,13 @@ class Discriminator:
         return f, Transitions(by_obs - slope, by_action, self.config.discount * next_slope)
 
     def logit(self, f: Vector, log_prob: Vector) -> Float[Tensor, "S E"]:
-        """Return f - log π, or f alone; GAN-GCL's is summed over each episode."""
+        """Return ℓ = f - log π, or f alone; GAN-GCL's is summed over each episode."""
         return per_episode(log_odds(f, log_prob) if self.policy_in_logit else f, self.horizon)
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Vector, Vector],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Vector:
+    def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
         """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
         share = coefficient[..., :1]  # for s, a and s' alike
-        mixed = Transitions(*(torch.lerp(p, e, share) for e, p in zip(expert, policy, strict=True)))
+        mixed = Transitions(*(torch.lerp(p, e, share) for e, p in zip(*sides, strict=True)))
         gradients = self.f_and_gradients(mixed)[1]
         by_obs, by_action, by_next_obs = (part.square().sum(-1) for part in gradients)
         return (by_obs + by_action + by_next_obs + TINY).sqrt()
@@ -204,12 +206,12 @@ class Discriminator:
         policy: Batch,
         expert_log_prob: Vector,
         policy_log_prob: Vector,
-        coefficient: Float[Tensor, "S B 4"],
+        coefficient: Mixing,
     ) -> Judgement:
         """Return logits and ‖∇f‖, from which the loss is made.
 
-        Both log π, or what stands for it (`DiscriminatorConfig.loss`), are looked at where
-        `needs_log_prob`. `coefficient`, uniform in [0, 1), says where the penalty is taken.
+        log π, or what stands for it (`DiscriminatorConfig.loss`), may be None unless
+        `needs_log_prob`. `coefficient` says where between both sides the penalty is taken.
         """
         sides = self.seen(expert), self.seen(policy)
         both = Transitions(*(torch.cat(parts, 1) for parts in zip(*sides, strict=True)))
@@ -218,7 +220,7 @@ class Discriminator:
             both,
             self.logit(expert_f, expert_log_prob),
             self.logit(policy_f, policy_log_prob),
-            self.gradient_norm(*sides, (expert_log_prob, policy_log_prob), coefficient),
+            self.gradient_norm(sides, (expert_log_prob, policy_log_prob), coefficient),
         )
 
     def loss(self, judgement: Judgement) -> tuple[Scalar, Metrics]:

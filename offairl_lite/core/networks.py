@@ -171,7 +171,7 @@ BETAS, EPSILON = (0.9, 0.999), 1e-8
 class Adam:
     """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
 
-    It changes tensors in place and knows nothing else, so that a step is a fixed sequence of
+    Its state is in tensors that are changed in place, so that a step is a fixed sequence of
     operations: it can be compiled, or captured as a CUDA graph, together with the loss.
     """
 

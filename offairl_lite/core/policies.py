@@ -52,7 +52,7 @@ def defensive_log_density(log_prob: Vector, uniform_share: float, action_dim: in
 
 @dataclass(frozen=True)
 class Actor:
-    """What all actors have in common: an architecture, `hidden` being its hidden layers."""
+    """What all actors have in common: an architecture with `hidden` layers."""
 
     obs_dim: int
     action_dim: int
@@ -280,15 +280,10 @@ class Policy(Population):
 
     @classmethod
     def load(cls, path: str | PathLike) -> "Policy":
-        """Read what `save` wrote; see `load_weights`.
-
-        Raises:
-            ValueError: the actor is of no known type, or its weights have another shape.
-        """
+        """Read what `save` wrote, see `load_weights`; ValueError if the actor is not known."""
         tensors, about = load_weights(path, "policy")
-        shape: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()
-        }
+        shape: dict[str, Any] = about["actor"]
+        shape |= {name: tuple(x) for name, x in shape.items() if isinstance(x, list)}
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.
         name, known = shape.pop("name"), _actors()

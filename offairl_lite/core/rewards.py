@@ -1,9 +1,8 @@
 r"""The generator's reward: one function a variant, with the expert labelled 1.
 
 A discriminator is a logit $\ell$ with $D = \sigma(\ell)$, so $\log D - \log(1 - D) = \ell$.
-AIRL's is $\ell = f - \log \pi$, with $f(s, a, s') = r + \gamma V(s') - V(s)$. GAN-GCL's, of a whole
-episode, is the sum of its steps' $r(s, a) - \log \pi$, so that each step's share of it is log odds,
-too.
+AIRL's is $\ell = f - \log \pi$. GAN-GCL's, of a whole episode, is the sum of its steps'
+$r(s, a) - \log \pi$, so that each step's share of it is log odds, too.
 """
 
 from dataclasses import asdict, dataclass
@@ -70,15 +69,10 @@ class Reward(Population):
 
     @torch.no_grad()
     def __call__(self, obs: Obs, action: Action | None = None) -> Vector:
-        """Return r of each member; `action` may be left out of a reward of the state alone.
+        """Return r of the task's observations, also without the absorbing state's indicator.
 
-        Args:
-            obs: float32, as the task gives them; the indicator of an absorbing state may be there.
-            action: float32, scaled to [-1, 1].
-
-        Raises:
-            ValueError: it is left out of a reward of state and action, or the observations are of
-                another size.
+        A reward of the state alone needs no actions, which are scaled to [-1, 1]. ValueError if
+        they are missing, or observations are of another size.
         """
         size = self.normaliser.mean.shape[-1]
         x = self.normaliser(fit(obs, size, f"the reward of {self.env_id}"))

@@ -114,13 +114,12 @@ class OffPolicy:
         self, batch: Batch, reward: Vector, absorbing_reward: Column, noise: Action
     ) -> Vector:
         """Return y, towards which the critics are drawn."""
-        next_obs = self.normaliser(batch.next_obs)
-        next_value = self.value(next_obs, noise)
-        target = bellman_target(reward, batch.terminated, next_value, self.config.discount)
-        if self.absorbing == "analytic":
-            known = analytic_return(reward, absorbing_reward, self.config.discount)
-            target = torch.where(is_absorbing(next_obs), known, target)
-        return target
+        next_obs, discount = self.normaliser(batch.next_obs), self.config.discount
+        y = bellman_target(reward, batch.terminated, self.value(next_obs, noise), discount)
+        if self.absorbing != "analytic":
+            return y
+        known = analytic_return(reward, absorbing_reward, discount)
+        return torch.where(is_absorbing(next_obs), known, y)
 
     def still(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
         """Return actions and log π, with 0 for both in the absorbing state."""
