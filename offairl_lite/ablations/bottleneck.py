@@ -32,10 +32,7 @@ def expected_cross_entropy(
     policy_variance: Vector,
     quadrature: Float[Tensor, "2 K"],
 ) -> PerMember:
-    """Return the mean of the cross-entropy for Gaussian logits of these means and variances.
-
-    `quadrature` has nodes and weights, as of `gauss_hermite`.
-    """
+    """Return the mean of the cross-entropy for Gaussian logits of these means and variances."""
     nodes, weights = quadrature
     sides = (expert_logit, expert_variance), (policy_logit, policy_variance)
     expert, policy = (m + (v + TINY).sqrt() * nodes.view(-1, 1, 1) for m, v in sides)
@@ -53,7 +50,7 @@ def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
 
 @dataclass(frozen=True)
 class Code:
-    """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²) (Peng et al. 2019).
+    """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²), of dimension `size`.
 
     At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
     """
