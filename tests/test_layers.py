@@ -9,12 +9,12 @@ import offairl_lite
 
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
-scale config core.rng core.acceleration envs tabular core.networks core.policies core.replay
-core.absorbing core.rollouts minari_storage demonstrations plain core.rewards core.discriminator
-core.sac core.td3 core.ppo core.results core.collector core.models core.fitting core.evaluation
-core.requirements core.loop ablations experiments analysis.statistics analysis.epic analysis.plots
-analysis.films runs.shipping runs.records runs.tensorboard runs.provenance runs.inputs
-runs.checkpoints runs.folders runs.jobs runs.worker runs.grid runs.launch runs.estimate
+scale config core.shapes core.rng core.acceleration envs tabular core.networks core.policies
+core.replay core.absorbing core.rollouts minari_storage demonstrations plain core.rewards
+core.discriminator core.sac core.td3 core.ppo core.results core.collector core.models core.fitting
+core.evaluation core.requirements core.loop ablations experiments analysis.statistics analysis.epic
+analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.provenance
+runs.inputs runs.checkpoints runs.folders runs.jobs runs.worker runs.grid runs.launch runs.estimate
 runs.contestants runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(

@@ -1,7 +1,7 @@
 """The variational discriminator bottleneck (Peng et al. 2019): a stochastic code of few nats."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,24 +22,17 @@ from offairl_lite.core.discriminator import (
 )
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Metrics, Params, PerMember, Scalar, Vector
 
 
 def expected_cross_entropy(
-    expert_logit: Float[Tensor, "S B"],
-    policy_logit: Float[Tensor, "S B"],
-    expert_variance: Float[Tensor, "S B"],
-    policy_variance: Float[Tensor, "S B"],
+    expert_logit: Vector,
+    policy_logit: Vector,
+    expert_variance: Vector,
+    policy_variance: Vector,
     quadrature: Float[Tensor, "2 K"],
-) -> Float[Tensor, "S"]:
-    """Return the mean of the cross-entropy for Gaussian logits of these means and variances.
-
-    Args:
-        expert_logit: means on the expert's side.
-        policy_logit: means on the policy's side.
-        expert_variance: of the expert's logits.
-        policy_variance: of the policy's logits.
-        quadrature: nodes and weights, as of `gauss_hermite`.
-    """
+) -> PerMember:
+    """Return the mean of the cross-entropy for Gaussian logits of these means and variances."""
     nodes, weights = quadrature
     sides = (expert_logit, expert_variance), (policy_logit, policy_variance)
     expert, policy = (m + (v + TINY).sqrt() * nodes.view(-1, 1, 1) for m, v in sides)
@@ -49,8 +42,7 @@ def expected_cross_entropy(
 def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
     """Return nodes and weights of the mean over a standard normal variable.
 
-    With 32, the mean softplus of a normal variable is exact to 1e-3 up to a standard
-    deviation of 5.
+    With 32, the mean softplus is exact to 1e-3 up to a standard deviation of 5.
     """
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
@@ -58,61 +50,49 @@ def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
 
 @dataclass(frozen=True)
 class Code:
-    """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²) (Peng et al. 2019).
+    """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²), of dimension `size`.
 
     At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
-
-    Args:
-        sizes: of `net`: features of the input, of each hidden layer, and 1.
-        code: numbers in z.
-        activation: of the hidden layers.
     """
 
-    sizes: tuple[int, ...]
-    code: int
-    activation: Literal["relu", "tanh"] = "relu"
-
-    @property
-    def net(self) -> StackedMLP:
-        """What is left when z is its mean."""
-        return StackedMLP(self.sizes, self.activation)
+    net: StackedMLP
+    size: int
 
     @property
     def encoder(self) -> StackedMLP:
         """From x to μ and log σ."""
-        return StackedMLP((*self.sizes[:-1], 2 * self.code), self.activation)
+        return StackedMLP((*self.net.sizes[:-1], 2 * self.size), self.net.activation)
 
     @property
     def head(self) -> StackedMLP:
         """From z to the scalar."""
-        return StackedMLP((self.code, 1))
+        return StackedMLP((self.size, 1))
 
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Params:
         """Draw the weights of encoder and head."""
         return torch.cat([self.encoder.init(rng), self.head.init(rng)], 1)
 
-    def at_mean(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S Q"]:
+    def _parts(self, params: Params) -> tuple[Params, Tensor, Tensor]:
+        """Return the encoder's weights, and the head's bias and weight."""
+        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
+        return encoder, *self.head.layers(head)[0]
+
+    def at_mean(self, params: Params) -> Params:
         """Return the weights of `net`: the head's and those of μ are one linear layer."""
-        encoder, ((head_bias, head_weight),) = self._parts(params)
+        encoder, head_bias, head_weight = self._parts(params)
         *_, (bias, weight) = self.encoder.layers(encoder)
-        bias = bias[..., : self.code] @ head_weight + head_bias
-        weight = weight[..., : self.code] @ head_weight
-        kept = self.net.num_params - self.sizes[-2] - 1
+        bias = bias[..., : self.size] @ head_weight + head_bias
+        weight = weight[..., : self.size] @ head_weight
+        kept = self.net.num_params - self.net.sizes[-2] - 1
         return torch.cat([encoder[:, :kept], bias.flatten(1), weight.flatten(1)], 1)
 
-    def spread(
-        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
-    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+    def spread(self, params: Params, x: Float[Tensor, "S B in"]) -> tuple[Vector, Vector]:
         """Return the scalar's variance, and KL(N(μ, σ²) ‖ N(0, I)) of the code in nats."""
-        encoder, ((_, head_weight),) = self._parts(params)
+        encoder, _, head_weight = self._parts(params)
         mean, log_std = self.encoder(encoder, x).chunk(2, -1)
         variance = (2 * log_std).exp()
         divergence = (mean.square() + variance - 1).sum(-1) / 2 - log_std.sum(-1)
         return (variance * head_weight.square().transpose(1, 2)).sum(-1), divergence
-
-    def _parts(self, params: Float[Tensor, "S P"]) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
-        return encoder, self.head.layers(head)
 
 
 @dataclass(frozen=True)
@@ -146,11 +126,12 @@ class Bottleneck(Discriminator):
     `multiplier`, β, is the price of a nat, raised by dual ascent while there are too many.
     """
 
-    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    config: BottleneckConfig
+
+    def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights of encoders and heads."""
-        size, activation = self.config.bottleneck_size, self.reward_net.activation
-        nets = self.reward_net, self.value_net
-        self.reward_code, self.value_code = (Code(net.sizes, size, activation) for net in nets)
+        size = self.config.bottleneck_size
+        self.reward_code, self.value_code = Code(self.reward_net, size), Code(self.value_net, size)
         self.multiplier = torch.zeros(len(rng), 1, device=rng.device)
         self.quadrature = gauss_hermite().to(rng.device)
         return self.reward_code.init(rng), self.value_code.init(rng)
@@ -161,16 +142,12 @@ class Bottleneck(Discriminator):
         return super().state | {"multiplier": self.multiplier}
 
     @property
-    def reward_weights(self) -> Float[Tensor, "S P"]:
-        """The weights of `reward_net`, which r is at the code's mean."""
-        return self.reward_code.at_mean(self.reward_params)
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, which r and V are at the code's mean."""
+        value = self.value_code.at_mean(self.value_params)
+        return self.reward_code.at_mean(self.reward_params), value
 
-    @property
-    def value_weights(self) -> Float[Tensor, "S Q"]:
-        """The weights of `value_net`, which V is at the code's mean."""
-        return self.value_code.at_mean(self.value_params)
-
-    def spread(self, transitions: Transitions) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B"]]:
+    def spread(self, transitions: Transitions) -> tuple[Vector, Vector]:
         """Return the variance of f through the code, and the code's divergence in nats."""
         x = self.reward_input(transitions)
         variance, divergence = self.reward_code.spread(self.reward_params, x)
@@ -182,26 +159,27 @@ class Bottleneck(Discriminator):
         variance = variance + now + self.config.discount**2 * then
         return variance, divergence + divergence_now + divergence_then
 
-    def loss(self, judgement: Judgement) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
+    def loss(self, judgement: Judgement) -> tuple[Scalar, Metrics]:
         """Return the expected loss over codes, plus β (KL - I_c), and diagnostics.
 
         The penalty, where there is one, is that at the code's mean.
         """
         transitions, expert_logit, policy_logit, grad_norm = judgement
         variance, divergence = self.spread(transitions)
-        cross_entropy = expected_cross_entropy(
-            expert_logit, policy_logit, *variance.chunk(2, 1), self.quadrature
+        of_expert, of_policy = variance.chunk(2, 1)
+        expected = expected_cross_entropy(
+            expert_logit, policy_logit, of_expert, of_policy, self.quadrature
         )
         weight = self.config.gradient_penalty
         penalty = airl_loss(expert_logit, policy_logit, grad_norm, weight).penalty
-        loss = Loss(cross_entropy + weight * penalty, cross_entropy, penalty)
+        loss = Loss(expected + weight * penalty, expected, penalty)
         excess = divergence.mean(-1) - self.config.bottleneck
         multiplier = self.multiplier.squeeze(-1)
         metrics = diagnostics(loss, expert_logit, policy_logit)
         metrics |= {"excess": excess.detach(), "multiplier": multiplier.clone()}
         return (loss.total + multiplier * excess).sum(), metrics
 
-    def update(self, *minibatch) -> dict[str, Float[Tensor, "S"]]:
+    def update(self, *minibatch: Any) -> Metrics:
         """Take one step down the loss, and one up with the multiplier."""
         metrics = super().update(*minibatch)
         with torch.no_grad():
@@ -210,6 +188,4 @@ class Bottleneck(Discriminator):
         return metrics
 
 
-@make_discriminator.register
-def _(config: BottleneckConfig, *given, **named) -> Bottleneck:
-    return Bottleneck(config, *given, **named)
+make_discriminator.register(BottleneckConfig, Bottleneck)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -9,10 +10,18 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.discriminator import Discriminator, Transitions, make_discriminator
+from offairl_lite.core.discriminator import (
+    Discriminator,
+    LogProbs,
+    Mixing,
+    Sides,
+    Transitions,
+    make_discriminator,
+)
 from offairl_lite.core.networks import TINY, StackedMLP
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Metrics, Params, Vector
 
 
 @dataclass(frozen=True)
@@ -25,15 +34,9 @@ class OneSidedConfig(DiscriminatorConfig):
 class OneSided(Discriminator):
     """Punishes only slopes above 1, max(0, ‖∇f‖ - 1)²: flat is no fault (Petzka et al. 2018)."""
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Float[Tensor, "S B"]:
+    def gradient_norm(self, *between: Any) -> Vector:
         """Return ‖∇f‖, or 1 where it is smaller."""
-        return super().gradient_norm(expert, policy, log_probs, coefficient).clamp(min=1)
+        return super().gradient_norm(*between).clamp(min=1)
 
 
 @dataclass(frozen=True)
@@ -44,55 +47,43 @@ class OnProbabilityConfig(DiscriminatorConfig):
 
 
 class OnProbability(Discriminator):
-    """The released penalty: ‖∇_s D‖ of the probability, by the state alone.
-
-    s, a, s' and log π are mixed with a coefficient of their own each.
-    """
+    """The released penalty: ‖∇_s D‖; s, a, s' and log π have a mixing coefficient each."""
 
     @property
     def needs_log_prob(self) -> bool:
         """Whether the loss contains log π: the penalty does, where there is a policy."""
         return self.has_policy
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Float[Tensor, "S B"]:
+    def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
-        *shares, share = coefficient.unbind(-1)
-        mixed = [
-            torch.lerp(p, e, c.unsqueeze(-1))
-            for e, p, c in zip(expert, policy, shares, strict=True)
-        ]
-        logit, gradients = self.f_and_gradients(Transitions(*mixed))
+        *shares, share = coefficient.split(1, -1)
+        parts = (torch.lerp(p, e, c) for e, p, c in zip(*sides, shares, strict=True))
+        logit, gradients = self.f_and_gradients(Transitions(*parts))
         if self.has_policy:
-            expert_log_prob, policy_log_prob = log_probs
-            logit = log_odds(logit, torch.lerp(policy_log_prob, expert_log_prob, share))
+            of_expert, of_policy = log_probs
+            logit = log_odds(logit, torch.lerp(of_policy, of_expert, share.squeeze(-1)))
         d = torch.sigmoid(logit)
         square = gradients.obs.square().sum(-1) * (d * (1 - d)).square()
         return (square + TINY).sqrt()
 
 
-def init_vectors(net: StackedMLP, rng: Rng) -> Float[Tensor, "S V"]:
-    """Draw unit vectors for `power_iteration`: as long as each layer's output, end to end."""
+Vectors = Float[Tensor, "S V"]
+"""A unit vector for each layer, as long as its output, end to end."""
+
+
+def init_vectors(net: StackedMLP, rng: Rng) -> Vectors:
+    """Draw unit vectors for `power_iteration`."""
     return _unit(rng.normal(sum(net.sizes[1:])).split(net.sizes[1:], 1))
 
 
 @torch.no_grad()
-def power_iteration(
-    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
-) -> Float[Tensor, "S V"]:
+def power_iteration(net: StackedMLP, params: Params, vectors: Vectors) -> Vectors:
     """Turn unit vectors towards each weight matrix's first right singular vector."""
     pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)
     return _unit([(w.transpose(1, 2) @ (w @ u.unsqueeze(-1))).squeeze(-1) for (_, w), u in pairs])
 
 
-def spectrally_normalised(
-    net: StackedMLP, params: Float[Tensor, "S P"], vectors: Float[Tensor, "S V"]
-) -> Float[Tensor, "S P"]:
+def spectrally_normalised(net: StackedMLP, params: Params, vectors: Vectors) -> Params:
     """Return `params` with each weight matrix divided by its largest singular value.
 
     That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, with u held
@@ -106,7 +97,7 @@ def spectrally_normalised(
     return torch.cat(parts, 1)
 
 
-def _unit(parts: Sequence[Float[Tensor, "S _"]]) -> Float[Tensor, "S V"]:
+def _unit(parts: Sequence[Tensor]) -> Tensor:
     return torch.cat([normalize(part, dim=1, eps=TINY) for part in parts], 1)
 
 
@@ -125,12 +116,9 @@ class SpectralNormConfig(DiscriminatorConfig):
 
 
 class SpectralNorm(Discriminator):
-    """Divides each weight matrix of r and V by its largest singular value (Miyato et al. 2018).
+    """Divides each weight matrix of r and V by its largest singular value: slopes are at most 1."""
 
-    The slopes of both are then at most 1.
-    """
-
-    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights, and vectors for the power iteration."""
         params = super().init(rng)
         self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]
@@ -139,37 +127,24 @@ class SpectralNorm(Discriminator):
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
-        vectors = zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
-        return super().state | dict(vectors)
+        of_reward, of_value = self.vectors
+        return super().state | {"reward.vectors": of_reward, "value.vectors": of_value}
 
     @property
-    def reward_weights(self) -> Float[Tensor, "S P"]:
-        """The weights of `reward_net`, made of those that are trained."""
-        return spectrally_normalised(self.reward_net, self.reward_params, self.vectors[0])
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, made of those that are trained."""
+        of_reward, of_value = self.vectors
+        reward = spectrally_normalised(self.reward_net, self.reward_params, of_reward)
+        return reward, spectrally_normalised(self.value_net, self.value_params, of_value)
 
-    @property
-    def value_weights(self) -> Float[Tensor, "S Q"]:
-        """The weights of `value_net`, made of those that are trained."""
-        return spectrally_normalised(self.value_net, self.value_params, self.vectors[1])
-
-    def update(self, *minibatch) -> dict[str, Float[Tensor, "S"]]:
+    def update(self, *minibatch: Any) -> Metrics:
         """Turn the vectors towards the singular ones, and take one step down the loss."""
-        trained = (self.reward_net, self.reward_params), (self.value_net, self.value_params)
-        for (net, params), vectors in zip(trained, self.vectors, strict=True):
-            vectors.copy_(power_iteration(net, params, vectors))
+        of_reward, of_value = self.vectors
+        of_reward.copy_(power_iteration(self.reward_net, self.reward_params, of_reward))
+        of_value.copy_(power_iteration(self.value_net, self.value_params, of_value))
         return super().update(*minibatch)
 
 
-@make_discriminator.register
-def _(config: OneSidedConfig, *given, **named) -> OneSided:
-    return OneSided(config, *given, **named)
-
-
-@make_discriminator.register
-def _(config: OnProbabilityConfig, *given, **named) -> OnProbability:
-    return OnProbability(config, *given, **named)
-
-
-@make_discriminator.register
-def _(config: SpectralNormConfig, *given, **named) -> SpectralNorm:
-    return SpectralNorm(config, *given, **named)
+make_discriminator.register(OneSidedConfig, OneSided)
+make_discriminator.register(OnProbabilityConfig, OnProbability)
+make_discriminator.register(SpectralNormConfig, SpectralNorm)

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from offairl_lite.ablations import penalties  # noqa: F401  (registers the released penalty)
 from offairl_lite.config import Config, SACConfig
@@ -15,6 +13,7 @@ from offairl_lite.core.policies import (
     gaussian_log_density,
     make_actor,
 )
+from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
 Variant = Literal["exact", "released"]
 
@@ -33,28 +32,18 @@ class ReleasedSACConfig(SACConfig):
     """The product of Gaussians; `released`: with standard deviations in the place of variances."""
 
 
-@dataclass(frozen=True)
 class ReleasedGaussian(SquashedGaussian):
     """The squashed Gaussian with the density of the released code."""
 
-    def log_prob(
-        self,
-        params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        pre_tanh: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "S B"]:
+    def log_prob(self, params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return the Gaussian's log density at the squashed action, without the Jacobian."""
-        mean, log_std = self.distribution(params, obs)
-        return gaussian_log_density(torch.tanh(pre_tanh), mean, log_std)
+        return gaussian_log_density(torch.tanh(pre_tanh), *self.distribution(params, obs))
 
 
-@dataclass(frozen=True)
 class ReleasedProduct(MultiplicativeGaussian):
     """The product of primitives with standard deviations in the place of variances."""
 
-    def distribution(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
-    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+    def distribution(self, params: Params, obs: Obs) -> tuple[Action, Action]:
         """Return μ and log σ of `pre_tanh`, as the released code has them."""
         mean, log_std, weight = self.parts(params, obs)
         precision = weight.unsqueeze(-1) * torch.exp(-log_std)
@@ -62,14 +51,12 @@ class ReleasedProduct(MultiplicativeGaussian):
         return (precision * mean).sum(-2) / total, (-total.log()).clamp(*self.log_std_range)
 
 
-@dataclass(frozen=True)
 class ReleasedDensityOfProduct(MultiplicativeGaussian):
     """The exact product with the density of the released code."""
 
     log_prob = ReleasedGaussian.log_prob
 
 
-@dataclass(frozen=True)
 class ReleasedPolicy(ReleasedProduct):
     """The released product with the density of the released code."""
 
@@ -78,7 +65,7 @@ class ReleasedPolicy(ReleasedProduct):
 
 @make_actor.register
 def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    plain = make_actor(SACConfig(**{k: getattr(config, k) for k in _SAC}), obs_dim, action_dim)
+    exact = make_actor.dispatch(SACConfig)(config, obs_dim, action_dim)
     density = config.log_density == "released"
     if config.primitives is None:
         kind = ReleasedGaussian if density else SquashedGaussian
@@ -86,10 +73,8 @@ def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> SquashedGauss
         kind = ReleasedPolicy if density else ReleasedProduct
     else:
         kind = ReleasedDensityOfProduct if density else MultiplicativeGaussian
-    return kind(**vars(plain))
+    return kind(**vars(exact))
 
-
-_SAC = tuple(SACConfig.__dataclass_fields__)
 
 RELEASE = Config.of(
     learner="sac-released",

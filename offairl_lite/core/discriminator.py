@@ -22,17 +22,13 @@ from offairl_lite.core.networks import TINY, Adam, Normaliser, StackedMLP, desce
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Action, Metrics, Obs, Params, PerMember, Scalar, Vector
 
 LEARNING_RATE = 1e-3
 """Adam's, for r and V (Arnob 2020, section 5)."""
 
 
-def shaped_reward(
-    r: Float[Tensor, "*batch"],
-    value: Float[Tensor, "*batch"],
-    next_value: Float[Tensor, "*batch"],
-    discount: float,
-) -> Float[Tensor, "*batch"]:
+def shaped_reward(r: Vector, value: Vector, next_value: Vector, discount: float) -> Vector:
     """Return f = r + γ V(s') - V(s) (Fu et al. 2018, equation 4)."""
     return r + discount * next_value - value
 
@@ -40,32 +36,38 @@ def shaped_reward(
 class Loss(NamedTuple):
     """A discriminator's loss and its two terms, of each member."""
 
-    total: Float[Tensor, "S"]
-    cross_entropy: Float[Tensor, "S"]
-    penalty: Float[Tensor, "S"]
+    total: PerMember
+    cross_entropy: PerMember
+    penalty: PerMember
 
 
 def airl_loss(
-    expert_logit: Float[Tensor, "S B"],
-    policy_logit: Float[Tensor, "S B"],
-    grad_norm: Float[Tensor, "S B"],
-    penalty_weight: float,
+    expert_logit: Vector, policy_logit: Vector, grad_norm: Vector, penalty_weight: float
 ) -> Loss:
-    """Return -E_expert log D - E_policy log(1 - D) + λ E (‖∇f‖ - 1)², for D = σ(logit).
-
-    `grad_norm` is ‖∇f‖, by all that f sees, at points between the expert's and the policy's.
-    """
+    """Return -E_expert log D - E_policy log(1 - D) + λ E (‖∇f‖ - 1)², for D = σ(logit)."""
     cross_entropy = (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
     penalty = (grad_norm - 1).square().mean(-1)
     return Loss(cross_entropy + penalty_weight * penalty, cross_entropy, penalty)
 
 
-def entropy(logit: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+def entropy(logit: Vector) -> Vector:
     """Return the entropy, in nats, of D = σ(logit): log 2 where it cannot tell, 0 where it can."""
     return softplus(logit) - logit * torch.sigmoid(logit)
 
 
-def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E"]:
+def diagnostics(loss: Loss, expert_logit: Vector, policy_logit: Vector) -> Metrics:
+    """Return what tells how a discriminator is doing."""
+    return {
+        "cross_entropy": loss.cross_entropy.detach(),
+        "penalty": loss.penalty.detach(),
+        "expert_logit": expert_logit.detach().mean(-1),
+        "policy_logit": policy_logit.detach().mean(-1),
+        "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
+        "entropy": (entropy(expert_logit) + entropy(policy_logit)).detach().mean(-1) / 2,
+    }
+
+
+def per_episode(logit: Vector, horizon: int) -> Float[Tensor, "S E"]:
     """Return the sum of the logits of each `horizon` steps (Finn et al. 2016)."""
     return logit.unflatten(1, (-1, horizon)).sum(-1)
 
@@ -73,36 +75,34 @@ def per_episode(logit: Float[Tensor, "S B"], horizon: int) -> Float[Tensor, "S E
 class Transitions(NamedTuple):
     """What a discriminator looks at: normalised observations, and actions."""
 
-    obs: Float[Tensor, "S B O"]
-    action: Float[Tensor, "S B A"]
-    next_obs: Float[Tensor, "S B O"]
+    obs: Obs
+    action: Action
+    next_obs: Obs
 
-    def joined(self, other: "Transitions") -> "Transitions":
-        """Return these transitions and then others."""
-        return Transitions(*(torch.cat(parts, 1) for parts in zip(self, other, strict=True)))
+
+Sides = tuple[Transitions, Transitions]
+LogProbs = tuple[Vector, Vector]
+"""Of the expert and of the policy."""
+
+Mixing = Float[Tensor, "S B 4"]
+"""Uniform in [0, 1): where s, a, s' and log π are, from the policy's (0) to the expert's (1)."""
 
 
 class Judgement(NamedTuple):
     """What a discriminator says of a minibatch of the expert's and one of the policy's."""
 
     transitions: Transitions
-    expert_logit: Float[Tensor, "S B"]
-    policy_logit: Float[Tensor, "S B"]
-    grad_norm: Float[Tensor, "S B"]
+    expert_logit: Vector
+    policy_logit: Vector
+    grad_norm: Vector
 
 
 class Discriminator:
     """r and V of `S` members, and how they are trained.
 
-    Args:
-        config: its settings; `reward` chooses the variant.
-        obs_dim: O, with the absorbing indicator where there is one.
-        action_dim: A.
-        rng: for the initial weights.
-        normaliser: scales every observation that comes in. The penalty holds ‖∇f‖ near 1 in the
-            coordinates that it gives, so their scale is part of the algorithm.
-        horizon: steps that are judged together: an episode's for GAN-GCL, otherwise 1.
-        env_id: the task, for the rewards that are learned.
+    `normaliser` scales every observation that comes in. The penalty holds ‖∇f‖ near 1 in the
+    coordinates that it gives, so their scale is part of the algorithm. `horizon` steps are judged
+    together: an episode's for GAN-GCL, otherwise 1. `env_id` names the rewards that are learned.
     """
 
     def __init__(
@@ -119,12 +119,12 @@ class Discriminator:
         self.horizon, self.env_id = horizon, env_id
         self.is_airl = config.reward in IMPLEMENTATIONS
         self.has_policy = self.is_airl or config.reward == "gan-gcl"
+        self.policy_in_logit = self.has_policy and config.loss != "released"
         kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
         self.state_only, self.reward_is_logit = kind
         inputs = obs_dim if self.state_only else obs_dim + action_dim
-        activation = config.activation
-        self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), activation)
-        self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), activation)
+        self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), config.activation)
+        self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), config.activation)
         self.reward_params, self.value_params = self.init(rng)
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
@@ -134,14 +134,9 @@ class Discriminator:
             seen = [*config.reward_sees, *range(obs_dim, inputs)]
             self.mask = self.reward_net.mask(seen).to(rng.device)
 
-    def init(self, rng: Rng) -> tuple[Float[Tensor, "S P"], Float[Tensor, "S Q"]]:
+    def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights of r and V."""
         return self.reward_net.init(rng), self.value_net.init(rng)
-
-    @property
-    def policy_in_logit(self) -> bool:
-        """Whether the logit is f - log π, not f."""
-        return self.has_policy and self.config.loss != "released"
 
     @property
     def needs_log_prob(self) -> bool:
@@ -151,78 +146,57 @@ class Discriminator:
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
-        return optimizer_states({"reward": self.reward_optimizer, "value": self.value_optimizer})
+        return optimizer_states(reward=self.reward_optimizer, value=self.value_optimizer)
 
     @property
-    def reward_weights(self) -> Float[Tensor, "S P"]:
-        """The weights of `reward_net`, made of those that are trained."""
-        return self.reward_params if self.mask is None else self.reward_params * self.mask
-
-    @property
-    def value_weights(self) -> Float[Tensor, "S Q"]:
-        """The weights of `value_net`, made of those that are trained."""
-        return self.value_params
+    def weights(self) -> tuple[Params, Params]:
+        """The weights of `reward_net` and `value_net`, made of those that are trained."""
+        seeing = self.reward_params if self.mask is None else self.reward_params * self.mask
+        return seeing, self.value_params
 
     def seen(self, batch: Batch) -> Transitions:
         """Return transitions as the discriminator sees them."""
-        return Transitions(
-            self.normaliser(batch.obs), batch.action, self.normaliser(batch.next_obs)
-        )
+        obs, next_obs = self.normaliser(batch.obs), self.normaliser(batch.next_obs)
+        return Transitions(obs, batch.action, next_obs)
 
     def reward_input(self, transitions: Transitions) -> Float[Tensor, "S B in"]:
         """Return what r sees: s, or s and a."""
         obs, action, _ = transitions
         return obs if self.state_only else torch.cat([obs, action], -1)
 
-    def f(self, transitions: Transitions) -> Float[Tensor, "S B"]:
+    def f(self, transitions: Transitions) -> Vector:
         """Return f(s, a, s') = r + γ V(s') - V(s); without AIRL there is no shaping."""
-        r = self.reward_net(self.reward_weights, self.reward_input(transitions)).squeeze(-1)
+        of_reward, of_value = self.weights
+        r = self.reward_net(of_reward, self.reward_input(transitions)).squeeze(-1)
         if not self.is_airl:
             return r
         states = torch.cat([transitions.obs, transitions.next_obs], 1)
-        value, next_value = self.value_net(self.value_weights, states).squeeze(-1).chunk(2, 1)
+        value, next_value = self.value_net(of_value, states).squeeze(-1).chunk(2, 1)
         return shaped_reward(r, value, next_value, self.config.discount)
 
-    def f_and_gradients(self, transitions: Transitions) -> tuple[Float[Tensor, "S B"], Transitions]:
+    def f_and_gradients(self, transitions: Transitions) -> tuple[Vector, Transitions]:
         """Return f and its gradients ∇f by s, a and s'."""
-        obs, _, next_obs = transitions
-        r, by_x = self.reward_net.value_and_input_gradient(
-            self.reward_weights, self.reward_input(transitions)
-        )
-        by_obs, by_action = by_x[..., : obs.shape[-1]], by_x[..., obs.shape[-1] :]
+        (obs, _, next_obs), (of_reward, of_value) = transitions, self.weights
+        x, obs_dim = self.reward_input(transitions), obs.shape[-1]
+        r, slope = self.reward_net.value_and_input_gradient(of_reward, x)
+        by_obs, by_action = slope[..., :obs_dim], slope[..., obs_dim:]
         if not self.is_airl:
             return r, Transitions(by_obs, by_action, torch.zeros_like(by_obs))
         states = torch.cat([obs, next_obs], 1)
-        values, slopes = self.value_net.value_and_input_gradient(self.value_weights, states)
-        (value, next_value), (slope, next_slope) = values.chunk(2, 1), slopes.chunk(2, 1)
-        discount = self.config.discount
-        f = shaped_reward(r, value, next_value, discount)
-        return f, Transitions(by_obs - slope, by_action, discount * next_slope)
+        both = self.value_net.value_and_input_gradient(of_value, states)
+        (value, next_value), (slope, next_slope) = (part.chunk(2, 1) for part in both)
+        f = shaped_reward(r, value, next_value, self.config.discount)
+        return f, Transitions(by_obs - slope, by_action, self.config.discount * next_slope)
 
-    def logit(
-        self, f: Float[Tensor, "S B"], log_prob: Float[Tensor, "S B"] | None
-    ) -> Float[Tensor, "S E"]:
-        """Return f - log π, or f alone; GAN-GCL's is summed over each episode."""
+    def logit(self, f: Vector, log_prob: Vector) -> Float[Tensor, "S E"]:
+        """Return ℓ = f - log π, or f alone; GAN-GCL's is summed over each episode."""
         return per_episode(log_odds(f, log_prob) if self.policy_in_logit else f, self.horizon)
 
-    def gradient_norm(
-        self,
-        expert: Transitions,
-        policy: Transitions,
-        log_probs: tuple[Float[Tensor, "S B"] | None, ...],
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> Float[Tensor, "S B"]:
-        """Return ‖∇f‖ at a random point between each expert's and policy's transition.
-
-        Args:
-            expert: demonstrations.
-            policy: as many transitions from replay.
-            log_probs: log π of the expert's actions and of the policy's.
-            coefficient: uniform in [0, 1); here the first column serves for all parts.
-        """
-        share = coefficient[..., :1]
-        mixed = [torch.lerp(p, e, share) for e, p in zip(expert, policy, strict=True)]
-        _, gradients = self.f_and_gradients(Transitions(*mixed))
+    def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
+        """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
+        share = coefficient[..., :1]  # for s, a and s' alike
+        mixed = Transitions(*(torch.lerp(p, e, share) for e, p in zip(*sides, strict=True)))
+        gradients = self.f_and_gradients(mixed)[1]
         by_obs, by_action, by_next_obs = (part.square().sum(-1) for part in gradients)
         return (by_obs + by_action + by_next_obs + TINY).sqrt()
 
@@ -230,52 +204,34 @@ class Discriminator:
         self,
         expert: Batch,
         policy: Batch,
-        expert_log_prob: Float[Tensor, "S B"] | None,
-        policy_log_prob: Float[Tensor, "S B"] | None,
-        coefficient: Float[Tensor, "S B 4"],
+        expert_log_prob: Vector,
+        policy_log_prob: Vector,
+        coefficient: Mixing,
     ) -> Judgement:
-        """Return logits and ‖∇f‖, from which the loss is made; arguments as for `update`."""
-        shown, done = self.seen(expert), self.seen(policy)
-        both = shown.joined(done)
+        """Return logits and ‖∇f‖, from which the loss is made.
+
+        log π, or what stands for it (`DiscriminatorConfig.loss`), may be None unless
+        `needs_log_prob`. `coefficient` says where between both sides the penalty is taken.
+        """
+        sides = self.seen(expert), self.seen(policy)
+        both = Transitions(*(torch.cat(parts, 1) for parts in zip(*sides, strict=True)))
         expert_f, policy_f = self.f(both).chunk(2, 1)
-        log_probs = expert_log_prob, policy_log_prob
         return Judgement(
             both,
             self.logit(expert_f, expert_log_prob),
             self.logit(policy_f, policy_log_prob),
-            self.gradient_norm(shown, done, log_probs, coefficient),
+            self.gradient_norm(sides, (expert_log_prob, policy_log_prob), coefficient),
         )
 
-    def loss(self, judgement: Judgement) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
-        """Return the loss, summed over members, and diagnostics of each member."""
+    def loss(self, judgement: Judgement) -> tuple[Scalar, Metrics]:
+        """Return the loss and diagnostics."""
         _, expert_logit, policy_logit, grad_norm = judgement
         loss = airl_loss(expert_logit, policy_logit, grad_norm, self.config.gradient_penalty)
         return loss.total.sum(), diagnostics(loss, expert_logit, policy_logit)
 
-    def update(
-        self,
-        expert: Batch,
-        policy: Batch,
-        expert_log_prob: Float[Tensor, "S B"] | None,
-        policy_log_prob: Float[Tensor, "S B"] | None,
-        coefficient: Float[Tensor, "S B 4"],
-    ) -> dict[str, Float[Tensor, "S"]]:
-        """Take one step down the loss.
-
-        Args:
-            expert: demonstrations.
-            policy: transitions from replay.
-            expert_log_prob: log π of the expert's actions, or what stands for it, see
-                `DiscriminatorConfig.loss`; looked at where `needs_log_prob`.
-            policy_log_prob: the same of the policy's actions.
-            coefficient: uniform in [0, 1): where between both the penalty is taken.
-
-        Returns:
-            Diagnostics of each member.
-        """
-        loss, metrics = self.loss(
-            self.judge(expert, policy, expert_log_prob, policy_log_prob, coefficient)
-        )
+    def update(self, *minibatch: Any) -> Metrics:
+        """Take one step down the loss of a minibatch, which `judge` describes."""
+        loss, metrics = self.loss(self.judge(*minibatch))
         if self.is_airl:
             descend(loss, self.reward_optimizer, self.value_optimizer)
         else:
@@ -283,38 +239,21 @@ class Discriminator:
         return metrics
 
     @torch.no_grad()
-    def reward(self, batch: Batch, log_prob: Float[Tensor, "S B"] | None) -> Float[Tensor, "S B"]:
-        """Return the learner's reward, as the module `rewards` has it.
-
-        Args:
-            batch: transitions.
-            log_prob: log π of their actions, looked at where `reward_is_logit`.
-        """
-        if self.reward_is_logit:
-            f = self.f(self.seen(batch))
-            return log_odds(f, log_prob) if self.config.log_prob_in_reward else f
-        r = self.frozen(batch.obs, batch.action)
-        return r if self.is_airl else OF_LOGIT[self.config.reward](r)
+    def reward(self, batch: Batch, log_prob: Vector | None) -> Vector:
+        """Return the learner's reward; `log_prob` is wanted where `reward_is_logit`."""
+        if not self.reward_is_logit:
+            r = self.frozen(batch.obs, batch.action)
+            return r if self.is_airl else OF_LOGIT[self.config.reward](r)
+        f = self.f(self.seen(batch))
+        if log_prob is None or not self.config.log_prob_in_reward:
+            return f
+        return log_odds(f, log_prob)
 
     @property
     def frozen(self) -> Reward:
         """r as it is now; later updates do not change it."""
-        params = self.reward_weights.detach().clone()
+        params = self.weights[0].detach().clone()
         return Reward(self.env_id, self.reward_net, self.state_only, params, self.normaliser)
-
-
-def diagnostics(
-    loss: Loss, expert_logit: Float[Tensor, "S B"], policy_logit: Float[Tensor, "S B"]
-) -> dict[str, Float[Tensor, "S"]]:
-    """Return what tells how a discriminator is doing, of each member."""
-    return {
-        "cross_entropy": loss.cross_entropy.detach(),
-        "penalty": loss.penalty.detach(),
-        "expert_logit": expert_logit.detach().mean(-1),
-        "policy_logit": policy_logit.detach().mean(-1),
-        "accuracy": ((expert_logit > 0).float() + (policy_logit < 0).float()).mean(-1) / 2,
-        "entropy": (entropy(expert_logit) + entropy(policy_logit)).detach().mean(-1) / 2,
-    }
 
 
 @singledispatch

@@ -24,11 +24,11 @@ OfBatch = Callable[[Batch], Float[Tensor, "S B"]]
 """A number for each transition of a batch."""
 
 
-def make_learner(config: LearnerConfig, *given: Any) -> SAC | TD3 | PPO:
+def make_learner(config: LearnerConfig, *given: Any, absorbing: str) -> SAC | TD3 | PPO:
     """Return the learner that its settings ask for."""
     if isinstance(config, SACConfig):
-        return SAC(config, *given)
-    return TD3(config, *given) if isinstance(config, TD3Config) else PPO(config, *given)
+        return SAC(config, *given, absorbing)
+    return TD3(config, *given, absorbing) if isinstance(config, TD3Config) else PPO(config, *given)
 
 
 def even_normaliser(
@@ -80,7 +80,7 @@ class Models:
     ) -> None:
         self.config, self.rng, self.frozen_reward = config, rng, frozen_reward
         self.learner = make_learner(
-            config.learner, *dims, rng, normaliser, config.schedule.absorbing
+            config.learner, *dims, rng, normaliser, absorbing=config.schedule.absorbing
         )
         if pretrained_policy is not None:
             self._start_from(pretrained_policy.params)

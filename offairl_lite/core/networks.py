@@ -6,7 +6,7 @@ member `i` is row `i`.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
@@ -20,6 +20,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Action, Obs, Params, Scalar, TwinParams, TwinQ, Vector
 
 TINY = 1e-12
 """What keeps roots and quotients of lengths finite at 0."""
@@ -38,8 +39,8 @@ class Normaliser(NamedTuple):
         return cls(zeros, torch.ones_like(zeros))
 
     @classmethod
-    def of(cls, *sources: Float[Tensor, "S _ O"]) -> Self:
-        """Return the map that gives an even mixture of the sources mean 0 and spread 1.
+    def of(cls, *sources: Obs) -> Self:
+        """Return the map that gives an even mixture of the sources mean 0 and standard deviation 1.
 
         A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
         would turn rounding into signal.
@@ -49,20 +50,9 @@ class Normaliser(NamedTuple):
         std = torch.stack(squares).mean(0).sqrt()
         return cls(mean, torch.where(std < 1e-8 + 1e-5 * mean.abs(), 1.0, std))
 
-    def member(self, *index: int) -> Self:
-        """Return the maps of these members alone."""
-        return type(self)(*(part[list(index)] for part in self))
-
-    def to(self, device: torch.device | str) -> Self:
-        """Return the same maps on a device."""
-        return type(self)(*(part.to(device) for part in self))
-
-    def __call__(self, obs: Float[Tensor, "S B O"]) -> Float[Tensor, "S B O"]:
-        """Scale observations.
-
-        Raises:
-            ValueError: they have not three axes; two would be taken for every member's.
-        """
+    def __call__(self, obs: Obs) -> Obs:
+        """Scale observations; ValueError if they have not three axes."""
+        # Two axes would be taken for every member's.
         if obs.ndim != 3:
             raise ValueError(f"observations have axes {tuple(obs.shape)}; expected (S, B, O)")
         return (obs - self.mean) / self.std
@@ -72,9 +62,7 @@ class Normaliser(NamedTuple):
 class StackedMLP:
     """A multilayer perceptron, for `S` sets of weights at once: a layer is one `baddbmm`.
 
-    Args:
-        sizes: features of the input, of each hidden layer and of the output.
-        activation: of the hidden layers; the output is linear.
+    `sizes` are the features of the input, of each hidden layer, and of the output, which is linear.
     """
 
     sizes: tuple[int, ...]
@@ -85,17 +73,15 @@ class StackedMLP:
         """P: weights and biases of one member."""
         return sum((i + 1) * o for i, o in pairwise(self.sizes))
 
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Params:
         """Draw Glorot-uniform weights and zero biases (Glorot and Bengio, 2010)."""
         parts = []
         for i, o in pairwise(self.sizes):
-            parts += [
-                torch.zeros(len(rng), o, device=rng.device),
-                (2 * rng.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5,
-            ]
+            weight = (2 * rng.uniform(i * o) - 1) * (6 / (i + o)) ** 0.5
+            parts += [torch.zeros(len(rng), o, device=rng.device), weight]
         return torch.cat(parts, 1)
 
-    def layers(self, params: Float[Tensor, "S P"]) -> list[tuple[Tensor, Tensor]]:
+    def layers(self, params: Params) -> list[tuple[Tensor, Tensor]]:
         """Cut the rows of `params` into biases `(S, 1, out)` and weights `(S, in, out)`."""
         shapes = list(pairwise(self.sizes))
         parts = params.split([n for i, o in shapes for n in (o, i * o)], 1)
@@ -111,9 +97,7 @@ class StackedMLP:
         weight.zero_()[:, list(inputs)] = 1
         return mask
 
-    def __call__(
-        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
-    ) -> Float[Tensor, "S B out"]:
+    def __call__(self, params: Params, x: Float[Tensor, "S B in"]) -> Float[Tensor, "S B out"]:
         """Apply member `i`'s weights to member `i`'s inputs."""
         *hidden, (bias, weight) = self.layers(params)
         for b, w in hidden:
@@ -121,8 +105,8 @@ class StackedMLP:
         return _affine(x, weight, bias)
 
     def value_and_input_gradient(
-        self, params: Float[Tensor, "S P"], x: Float[Tensor, "S B in"]
-    ) -> tuple[Float[Tensor, "S B"], Float[Tensor, "S B in"]]:
+        self, params: Params, x: Float[Tensor, "S B in"]
+    ) -> tuple[Vector, Float[Tensor, "S B in"]]:
         """Return the scalar output and its gradient by the input.
 
         The gradient is written out as the chain rule, that is, as a forward pass of its own.
@@ -144,13 +128,12 @@ class StackedMLP:
         return torch.relu(x) if self.activation == "relu" else 2 * torch.sigmoid(2 * x) - 1
 
     def _slope(self, h: Tensor) -> Tensor:
-        """Derivative of the activation, from its output."""
+        """Return the derivative of the activation, from its output."""
         return (h > 0).to(h) if self.activation == "relu" else 1 - h.square()
 
 
-def _affine(
-    x: Float[Tensor, "S B in"], weight: Float[Tensor, "S in out"], bias: Float[Tensor, "S 1 out"]
-) -> Float[Tensor, "S B out"]:
+def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return x W + b for each member."""
     if weight.shape[-1] == 1:
         # A stack of products with one column each is several times as slow as this.
         return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias
@@ -159,13 +142,7 @@ def _affine(
 
 @dataclass(frozen=True)
 class TwinCritic:
-    """Two Q-networks, which are `2S` entries of one stack.
-
-    Args:
-        obs_dim: O.
-        action_dim: A.
-        hidden: hidden layers.
-    """
+    """Two Q-networks with the same hidden layers, which are `2S` entries of one stack."""
 
     obs_dim: int
     action_dim: int
@@ -176,16 +153,11 @@ class TwinCritic:
         """The network, with one output."""
         return StackedMLP((self.obs_dim + self.action_dim, *self.hidden, 1))
 
-    def init(self, rng: Rng) -> Float[Tensor, "2 S P"]:
+    def init(self, rng: Rng) -> TwinParams:
         """Draw the weights of both critics of a population."""
         return torch.stack([self.net.init(rng), self.net.init(rng)])
 
-    def __call__(
-        self,
-        params: Float[Tensor, "2 S P"],
-        obs: Float[Tensor, "S B O"],
-        action: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "2 S B"]:
+    def __call__(self, params: TwinParams, obs: Obs, action: Action) -> TwinQ:
         """Return both values of each action."""
         x = torch.cat([obs, action], -1)
         q = self.net(params.flatten(0, 1), x.expand(2, *x.shape).flatten(0, 1))
@@ -199,12 +171,8 @@ BETAS, EPSILON = (0.9, 0.999), 1e-8
 class Adam:
     """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
 
-    Everything it knows is in tensors that are changed in place, so that a step is a fixed sequence
-    of operations: it can be compiled, or captured as a CUDA graph, together with the loss.
-
-    Args:
-        params: the weights.
-        learning_rate: of every step.
+    Its state is in tensors that are changed in place, so that a step is a fixed sequence of
+    operations: it can be compiled, or captured as a CUDA graph, together with the loss.
     """
 
     def __init__(self, params: Tensor, learning_rate: float) -> None:
@@ -219,12 +187,8 @@ class Adam:
     @property
     def state(self) -> dict[str, Tensor]:
         """The weights and what is remembered of their gradients: the tensors themselves."""
-        return {
-            "params": self.params.detach(),
-            "mean": self.mean,
-            "square": self.square,
-            "decay": self.decay,
-        }
+        memory = {name: getattr(self, name) for name in ("mean", "square", "decay")}
+        return {"params": self.params.detach(), **memory}
 
     @torch.no_grad()
     def step(self, gradient: Tensor) -> None:
@@ -239,13 +203,16 @@ class Adam:
         self.params -= length * self.mean / (self.square.sqrt() + epsilon)
 
 
-def optimizer_states(optimizers: dict[str, Adam]) -> dict[str, Tensor]:
+def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:
     """Return the states of several optimizers, each name after its optimizer's."""
-    states = {kind: optimizer.state for kind, optimizer in optimizers.items()}
-    return {f"{kind}.{name}": x for kind, state in states.items() for name, x in state.items()}
+    return {
+        f"{kind}.{name}": tensor
+        for kind, optimizer in optimizers.items()
+        for name, tensor in optimizer.state.items()
+    }
 
 
-def descend(loss: Float[Tensor, ""], *optimizers: Adam) -> None:
+def descend(loss: Scalar, *optimizers: Adam) -> None:
     """Step down the gradient of `loss` by the optimizers' tensors, and by nothing else."""
     gradients = torch.autograd.grad(loss, [optimizer.params for optimizer in optimizers])
     for optimizer, gradient in zip(optimizers, gradients, strict=True):
@@ -277,3 +244,42 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
     if about.get("kind") != kind:
         raise ValueError(f"{path} holds {about.get('kind', 'something unnamed')!r}, not a {kind}")
     return tensors, about
+
+
+class Population:
+    """Trained networks of `S` members: what a `Policy` and a `Reward` have in common."""
+
+    env_id: str
+    params: Params
+    normaliser: Normaliser
+
+    def __len__(self) -> int:
+        return len(self.params)
+
+    def member(self, *index: int) -> Self:
+        """Return the population of these members alone."""
+        return self._each(lambda tensor: tensor[list(index)])
+
+    def to(self, device: str | torch.device) -> Self:
+        """Return the same population on a device."""
+        return self._each(lambda tensor: tensor.to(device))
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
+        """Return the population with each of its tensors changed."""
+        normaliser = Normaliser(*map(change, self.normaliser))
+        changed = {"params": change(self.params), "normaliser": normaliser}
+        return type(self)(**(vars(self) | changed))
+
+    def _write(self, path: str | PathLike, kind: str, **architecture: Any) -> None:
+        """Write tensors and architecture to a safetensors file."""
+        tensors = {"params": self.params, **self.normaliser._asdict()}
+        save_weights(path, tensors, {"kind": kind, "env_id": self.env_id, **architecture})
+
+    @classmethod
+    def _made_of(cls, tensors: dict[str, Tensor], expected: int, path: Any, **fields: Any) -> Self:
+        """Return the population of a file, whose weights must be `expected` for each member."""
+        params = tensors["params"].float()  # Shipped experts' may be in half precision.
+        if params.shape[1:] != (expected,):
+            raise ValueError(f"{path}: weights {tuple(params.shape)}, expected (S, {expected})")
+        normaliser = Normaliser(tensors["mean"], tensors["std"])
+        return cls(**(fields | {"params": params, "normaliser": normaliser}))

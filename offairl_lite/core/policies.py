@@ -5,10 +5,10 @@ density of an action that has been rounded to ±1 is lost, that of its `pre_tanh
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import singledispatch
 from os import PathLike
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Float
@@ -16,8 +16,9 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from offairl_lite.config import PPOConfig, SACConfig, TD3Config
-from offairl_lite.core.networks import Normaliser, StackedMLP, load_weights, save_weights
+from offairl_lite.core.networks import Normaliser, Population, StackedMLP, load_weights
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
 MAX_ACTION = 1 - 1e-6
 """Where `unsquash` clamps: an action closer to ±1 counts as this one."""
@@ -33,17 +34,13 @@ def log_tanh_slope(pre_tanh: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     return 2 * (math.log(2) - pre_tanh - softplus(-2 * pre_tanh))
 
 
-def gaussian_log_density(
-    x: Float[Tensor, "... A"], mean: Float[Tensor, "... A"], log_std: Float[Tensor, "... A"]
-) -> Float[Tensor, "..."]:
+def gaussian_log_density(x: Action, mean: Action, log_std: Action) -> Vector:
     """Return the log-density of independent Gaussians, summed over the last axis."""
     z = (x - mean) * torch.exp(-log_std)
     return (-0.5 * z.square() - log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
 
 
-def defensive_log_density(
-    log_prob: Float[Tensor, "*batch"], uniform_share: float, action_dim: int
-) -> Float[Tensor, "*batch"]:
+def defensive_log_density(log_prob: Vector, uniform_share: float, action_dim: int) -> Vector:
     """Return log((1 - w) π + w u): of π's actions mixed with a share w of uniform ones.
 
     u is the density on [-1, 1]^A. With w > 0 no action, however foreign to π, has a density below
@@ -54,81 +51,76 @@ def defensive_log_density(
 
 
 @dataclass(frozen=True)
-class SquashedGaussian:
-    """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C).
-
-    Args:
-        obs_dim: O.
-        action_dim: A.
-        hidden: hidden layers of the network that gives μ and log σ.
-        log_std_range: bounds of log σ.
-    """
+class Actor:
+    """What all actors have in common: an architecture with `hidden` layers."""
 
     obs_dim: int
     action_dim: int
     hidden: tuple[int, ...]
-    log_std_range: tuple[float, float] = (-5.0, 2.0)
+
+    outputs: ClassVar[int] = 1
+    """Outputs of the network for each dimension of the action."""
 
     @property
     def net(self) -> StackedMLP:
-        """The network, with 2A outputs."""
-        return StackedMLP((self.obs_dim, *self.hidden, 2 * self.action_dim))
+        """The network."""
+        return StackedMLP((self.obs_dim, *self.hidden, self.outputs * self.action_dim))
 
     @property
     def num_params(self) -> int:
         """P."""
         return self.net.num_params
 
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Params:
         """Draw the weights of a population."""
         return self.net.init(rng)
 
-    def distribution(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
-    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+    def mode(self, params: Params, obs: Obs) -> Action:
+        """Return the action tanh(μ(s)), which evaluations use."""
+        return torch.tanh(self.net(params, obs))
+
+    def explore(self, params: Params, obs: Obs, noise: Action) -> Action:
+        """Return `pre_tanh` of what it does for standard normal `noise`."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SquashedGaussian(Actor):
+    """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C)."""
+
+    log_std_range: tuple[float, float] = (-5.0, 2.0)
+    """Bounds of log σ."""
+
+    outputs = 2
+
+    def distribution(self, params: Params, obs: Obs) -> tuple[Action, Action]:
         """Return μ and log σ of `pre_tanh`."""
         mean, raw = self.net(params, obs).chunk(2, -1)
         return mean, self._log_std(raw)
 
-    def _log_std(self, raw: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    def _log_std(self, raw: Tensor) -> Tensor:
+        """Return log σ, which approaches its bounds smoothly."""
         low, high = self.log_std_range
         return low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
 
-    def sample(
-        self,
-        params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        noise: Float[Tensor, "S B A"],
-    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B"]]:
+    def sample(self, params: Params, obs: Obs, noise: Action) -> tuple[Action, Vector]:
         """Return `pre_tanh` for standard normal `noise`, and the log-density of its action."""
         mean, log_std = self.distribution(params, obs)
         pre_tanh = mean + log_std.exp() * noise
         log_prob = gaussian_log_density(noise, torch.zeros_like(noise), torch.zeros_like(noise))
         return pre_tanh, log_prob - (log_std + log_tanh_slope(pre_tanh)).sum(-1)
 
-    def explore(
-        self,
-        params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        noise: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "S B A"]:
+    def explore(self, params: Params, obs: Obs, noise: Action) -> Action:
         """Return `pre_tanh` for standard normal `noise`: a sample."""
         mean, log_std = self.distribution(params, obs)
         return mean + log_std.exp() * noise
 
-    def log_prob(
-        self,
-        params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        pre_tanh: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "S B"]:
+    def log_prob(self, params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return log π(a|s) of the actions tanh(`pre_tanh`)."""
         mean, log_std = self.distribution(params, obs)
         return gaussian_log_density(pre_tanh, mean, log_std) - log_tanh_slope(pre_tanh).sum(-1)
 
-    def mode(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
-    ) -> Float[Tensor, "S B A"]:
+    def mode(self, params: Params, obs: Obs) -> Action:
         """Return the action tanh(μ(s)), which evaluations use."""
         return torch.tanh(self.distribution(params, obs)[0])
 
@@ -153,22 +145,17 @@ class MultiplicativeGaussian(SquashedGaussian):
     """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
 
     `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
-    Gaussian again; all else is as with one network. The primitives grow out of one trunk, whose
-    layers are `hidden`, and all K of them are one stacked product.
-
-    Args:
-        primitives: K.
-        primitive_hidden: hidden layers of each primitive, after the trunk.
-        gate_hidden: hidden layers of the gate, a network of its own.
-        gating: how weights w > 0 are made of the gate's outputs. `softmax`: they add up to 1, and
-            one primitive alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself;
-            `softplus`: each without an upper bound.
+    Gaussian again. The primitives grow out of one trunk, whose layers are `hidden`, and are one
+    stacked product; the gate is a network of its own.
     """
 
     primitives: int = 4
     primitive_hidden: tuple[int, ...] = (256,)
     gate_hidden: tuple[int, ...] = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
+    """How the gate's outputs become weights w > 0. `softmax`: they add up to 1, and one primitive
+    alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself; `softplus`: each
+    without an upper bound."""
 
     @property
     def trunk(self) -> StackedMLP:
@@ -191,26 +178,24 @@ class MultiplicativeGaussian(SquashedGaussian):
         primitives = self.primitives * self.primitive.num_params
         return self.trunk.num_params + primitives + self.gate.num_params
 
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
+    def init(self, rng: Rng) -> Params:
         """Draw the weights of a population."""
         nets = self.trunk, *[self.primitive] * self.primitives, self.gate
         return torch.cat([net.init(rng) for net in nets], 1)
 
-    def split(
-        self, params: Float[Tensor, "S P"]
-    ) -> tuple[Float[Tensor, "S _"], Float[Tensor, "S K _"], Float[Tensor, "S _"]]:
+    def split(self, params: Params) -> tuple[Params, Float[Tensor, "S K P"], Params]:
         """Return the weights of the trunk, of each primitive, and of the gate."""
         of_trunk, of_gate = self.trunk.num_params, self.gate.num_params
         trunk, primitives, gate = params.tensor_split([of_trunk, self.num_params - of_gate], 1)
         return trunk, primitives.unflatten(1, (self.primitives, -1)), gate
 
-    def with_fixed_primitives(self, params: Float[Tensor, "S P"]) -> Float[Tensor, "S P"]:
+    def with_fixed_primitives(self, params: Params) -> Params:
         """Return the same weights, of which only the gate's have a gradient."""
         *primitives, gate = self.split(params)
         return torch.cat([*(part.detach().flatten(1) for part in primitives), gate], 1)
 
     def parts(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
+        self, params: Params, obs: Obs
     ) -> tuple[Float[Tensor, "S B K A"], Float[Tensor, "S B K A"], Float[Tensor, "S B K"]]:
         """Return each primitive's μ and log σ, and its weight."""
         trunk, primitives, gate = self.split(params)
@@ -229,130 +214,60 @@ class MultiplicativeGaussian(SquashedGaussian):
                 weight = softplus(logits)
         return mean, self._log_std(raw), weight
 
-    def distribution(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
-    ) -> tuple[Float[Tensor, "S B A"], Float[Tensor, "S B A"]]:
+    def distribution(self, params: Params, obs: Obs) -> tuple[Action, Action]:
         """Return μ and log σ of `pre_tanh`, σ no wider or narrower than a primitive's may be."""
         mean, log_std = product_of_gaussians(*self.parts(params, obs))
         return mean, log_std.clamp(*self.log_std_range)
 
 
 @dataclass(frozen=True)
-class Deterministic:
-    """TD3's actor: a = tanh(μ(s)), and Gaussian noise on the action to explore.
+class Deterministic(Actor):
+    """TD3's actor: a = tanh(μ(s)), and Gaussian noise on the action to explore."""
 
-    Args:
-        obs_dim: O.
-        action_dim: A.
-        hidden: hidden layers.
-        noise_std: standard deviation of the exploration noise, in units of the action.
-    """
-
-    obs_dim: int
-    action_dim: int
-    hidden: tuple[int, ...]
     noise_std: float = 0.1
+    """Standard deviation of the exploration noise, in units of the action."""
 
-    @property
-    def net(self) -> StackedMLP:
-        """The network, with A outputs."""
-        return StackedMLP((self.obs_dim, *self.hidden, self.action_dim))
-
-    @property
-    def num_params(self) -> int:
-        """P."""
-        return self.net.num_params
-
-    def init(self, rng: Rng) -> Float[Tensor, "S P"]:
-        """Draw the weights of a population."""
-        return self.net.init(rng)
-
-    def explore(
-        self,
-        params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        noise: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "S B A"]:
+    def explore(self, params: Params, obs: Obs, noise: Action) -> Action:
         """Return `pre_tanh` of the action with noise on it; clipped, it has no density."""
         return unsquash(self.mode(params, obs) + self.noise_std * noise)
 
-    def mode(
-        self, params: Float[Tensor, "S P"], obs: Float[Tensor, "S B O"]
-    ) -> Float[Tensor, "S B A"]:
-        """Return the action tanh(μ(s)), which evaluations use."""
-        return torch.tanh(self.net(params, obs))
 
-
-Actor = SquashedGaussian | Deterministic
-
-
-def _actors(base: type = object) -> dict[str, type[Actor]]:
+def _actors(base: type[Actor] = Actor) -> dict[str, type[Actor]]:
     """Return the types of actors by their names, those of ablations included."""
-    kinds = (SquashedGaussian, Deterministic) if base is object else base.__subclasses__()
-    return {
-        name: k for kind in kinds for name, k in [(kind.__name__, kind), *_actors(kind).items()]
-    }
+    kinds = base.__subclasses__()
+    return {k: v for kind in kinds for k, v in {kind.__name__: kind, **_actors(kind)}.items()}
 
 
 @singledispatch
-def make_actor(config: SACConfig, obs_dim: int, action_dim: int) -> Actor:
-    """Return the actor that a learner's settings ask for."""
-    raise TypeError(f"no actor for {type(config).__name__}")
-
-
-@make_actor.register
-def _(config: SACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    dims, spread = (obs_dim, action_dim), config.log_std_range
-    if config.primitives is None:
-        return SquashedGaussian(*dims, config.hidden, spread)
-    hidden = config.primitive_hidden, config.gate_hidden
-    of_mcp = config.primitives, *hidden, config.gating
-    return MultiplicativeGaussian(*dims, config.trunk_hidden, spread, *of_mcp)
-
-
-@make_actor.register
-def _(config: PPOConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    return SquashedGaussian(obs_dim, action_dim, config.hidden, config.log_std_range)
-
-
-@make_actor.register
-def _(config: TD3Config, obs_dim: int, action_dim: int) -> Deterministic:
-    return Deterministic(obs_dim, action_dim, config.hidden)
+def make_actor(config: SACConfig | PPOConfig | TD3Config, obs_dim: int, action_dim: int) -> Any:
+    """Return the actor that a learner's settings ask for; an ablation has settings of its own."""
+    dims = obs_dim, action_dim
+    if isinstance(config, TD3Config):
+        return Deterministic(*dims, config.hidden)
+    if isinstance(config, PPOConfig) or config.primitives is None:
+        return SquashedGaussian(*dims, config.hidden, config.log_std_range)
+    return MultiplicativeGaussian(
+        *dims,
+        config.trunk_hidden,
+        config.log_std_range,
+        config.primitives,
+        config.primitive_hidden,
+        config.gate_hidden,
+        config.gating,
+    )
 
 
 @dataclass(frozen=True)
-class Policy:
-    """A population of actors with their weights: all that is needed to act.
-
-    Args:
-        env_id: the task it was trained on.
-        actor: the architecture.
-        params: its weights.
-        normaliser: how it scales observations.
-    """
+class Policy(Population):
+    """A population of actors with their weights: all that is needed to act on the task `env_id`."""
 
     env_id: str
     actor: Actor
-    params: Float[Tensor, "S P"]
+    params: Params
     normaliser: Normaliser
 
-    def __len__(self) -> int:
-        return len(self.params)
-
-    def member(self, *index: int) -> "Policy":
-        """Return the population of these members alone."""
-        params, normaliser = self.params[list(index)], self.normaliser.member(*index)
-        return replace(self, params=params, normaliser=normaliser)
-
-    def to(self, device: str | torch.device) -> "Policy":
-        """Return the same policies on a device."""
-        params, normaliser = self.params.to(device), self.normaliser.to(device)
-        return replace(self, params=params, normaliser=normaliser)
-
     @torch.no_grad()
-    def act(
-        self, obs: Float[Tensor, "S B O"], noise: Float[Tensor, "S B A"] | None = None
-    ) -> Float[Tensor, "S B A"]:
+    def act(self, obs: Obs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given."""
         obs = self.normaliser(obs)
         if noise is None:
@@ -361,24 +276,14 @@ class Policy:
 
     def save(self, path: str | PathLike) -> None:
         """Write the population to a safetensors file."""
-        actor = {"name": type(self.actor).__name__, **asdict(self.actor)}
-        save_weights(
-            path,
-            {"params": self.params, "mean": self.normaliser.mean, "std": self.normaliser.std},
-            {"kind": "policy", "env_id": self.env_id, "actor": actor},
-        )
+        self._write(path, "policy", actor={"name": type(self.actor).__name__, **asdict(self.actor)})
 
     @classmethod
     def load(cls, path: str | PathLike) -> "Policy":
-        """Read a population written by `save`.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: the file holds something else, an actor of no known type, or weights of
-                another shape.
-        """
+        """Read what `save` wrote, see `load_weights`; ValueError if the actor is not known."""
         tensors, about = load_weights(path, "policy")
-        shape = {k: tuple(v) if isinstance(v, list) else v for k, v in about["actor"].items()}
+        shape: dict[str, Any] = about["actor"]
+        shape |= {name: tuple(x) for name, x in shape.items() if isinstance(x, list)}
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.
         name, known = shape.pop("name"), _actors()
@@ -388,9 +293,4 @@ class Policy:
                 "of an ablation, import offairl_lite.ablations first"
             )
         actor = known[name](**shape)
-        params = tensors["params"].float()  # Shipped experts' may be in half precision.
-        if params.shape[1:] != (actor.num_params,):
-            raise ValueError(
-                f"{path}: weights {tuple(params.shape)}, expected (S, {actor.num_params})"
-            )
-        return cls(about["env_id"], actor, params, Normaliser(tensors["mean"], tensors["std"]))
+        return cls._made_of(tensors, actor.num_params, path, env_id=about["env_id"], actor=actor)

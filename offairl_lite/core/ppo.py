@@ -2,14 +2,13 @@
 
 The on-policy learner, as GAIL and the first AIRL had one: it learns from the steps that the
 present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
-so that log π is the same thing for the discriminator whoever trains the policy. Losses are summed
-over members and averaged over the batch, so that members do not influence one another.
+so that log π is the same thing for the discriminator whoever trains the policy.
 """
 
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from offairl_lite.config import PPOConfig
@@ -17,6 +16,8 @@ from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, op
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.sac import critic_loss
+from offairl_lite.core.shapes import Action, Metrics, Obs, Params, Scalar, Vector
 
 CLIP = 0.2
 """How far the ratio of new to old density may move before it stops to pay."""
@@ -32,9 +33,7 @@ FIRST_SCALE = 0.01
 (Andrychowicz et al. 2021, section 3.2)."""
 
 
-def episode_ends(
-    obs: Float[Tensor, "S T O"], next_obs: Float[Tensor, "S T O"]
-) -> Bool[Tensor, "S T"]:
+def episode_ends(obs: Obs, next_obs: Obs) -> Bool[Tensor, "S B"]:
     """Tell which steps are the last ones known of an episode: the next begins somewhere else.
 
     A reset to the very observation where an episode was cut off goes unnoticed, and may: what
@@ -45,14 +44,14 @@ def episode_ends(
 
 
 def gae(
-    reward: Float[Tensor, "S T"],
-    value: Float[Tensor, "S T"],
-    next_value: Float[Tensor, "S T"],
-    terminated: Float[Tensor, "S T"],
-    ends: Bool[Tensor, "S T"],
+    reward: Vector,
+    value: Vector,
+    next_value: Vector,
+    terminated: Vector,
+    ends: Bool[Tensor, "S B"],
     discount: float,
     decay: float,
-) -> Float[Tensor, "S T"]:
+) -> Vector:
     r"""Return advantages $A_t = \sum_k (\gamma \lambda)^k \delta_{t + k}$ to the episode's end.
 
     With $\delta = r + \gamma (1 - \text{terminated}) V(s') - V(s)$ (Schulman et al. 2016, equation
@@ -67,30 +66,22 @@ def gae(
 
 
 def clipped_surrogate(
-    log_prob: Float[Tensor, "S B"],
-    old_log_prob: Float[Tensor, "S B"],
-    advantage: Float[Tensor, "S B"],
-    clip: float,
-) -> Float[Tensor, ""]:
+    log_prob: Vector, old_log_prob: Vector, advantage: Vector, clip: float
+) -> Scalar:
     """Return -E min(ρ A, clip(ρ, 1 ± ε) A), ρ = π / π_old (Schulman et al. 2017, equation 7)."""
     ratio = torch.exp(log_prob - old_log_prob)
     clipped = ratio.clamp(1 - clip, 1 + clip)
     return -torch.minimum(ratio * advantage, clipped * advantage).mean(-1).sum()
 
 
-def value_loss(value: Float[Tensor, "S B"], target: Float[Tensor, "S B"]) -> Float[Tensor, ""]:
-    """Return E (V - y)²."""
-    return (value - target).square().mean(-1).sum()
-
-
 class Rollout(NamedTuple):
-    """Steps of the present policy, with all that they teach."""
+    """Steps of the present policy, with all that they teach; advantages are standardised."""
 
-    obs: Float[Tensor, "S B O"]
-    pre_tanh: Float[Tensor, "S B A"]
-    log_prob: Float[Tensor, "S B"]
-    advantage: Float[Tensor, "S B"]
-    target: Float[Tensor, "S B"]
+    obs: Obs
+    pre_tanh: Action
+    log_prob: Vector
+    advantage: Vector
+    target: Vector
 
     def rows(self, index: Int[Tensor, "S M"]) -> "Rollout":
         """Return some steps of each member."""
@@ -99,31 +90,15 @@ class Rollout(NamedTuple):
 
 
 class PPO:
-    """Actor and value network of `S` members.
-
-    Args:
-        config: its settings.
-        obs_dim: O.
-        action_dim: A.
-        rng: for the initial weights.
-        normaliser: scales every observation that comes in.
-        absorbing: `none`; a rollout ends where its episode does.
-    """
+    """Actor and value network of `S` members; `normaliser` scales every observation."""
 
     def __init__(
-        self,
-        config: PPOConfig,
-        obs_dim: int,
-        action_dim: int,
-        rng: Rng,
-        normaliser: Normaliser,
-        absorbing: str = "none",
+        self, config: PPOConfig, obs_dim: int, action_dim: int, rng: Rng, normaliser: Normaliser
     ) -> None:
         self.config, self.normaliser = config, normaliser
         self.actor = make_actor(config, obs_dim, action_dim)
         self.critic = StackedMLP((obs_dim, *config.hidden, 1))
-        self.actor_params = self.actor.init(rng)
-        self.critic_params = self.critic.init(rng)
+        self.actor_params, self.critic_params = self.actor.init(rng), self.critic.init(rng)
         for last in self.actor.net.layers(self.actor_params)[-1]:
             last *= FIRST_SCALE
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
@@ -132,63 +107,35 @@ class PPO:
     @property
     def state(self) -> dict[str, Tensor]:
         """Everything that updates change: the tensors themselves."""
-        return optimizer_states({"actor": self.actor_optimizer, "critic": self.critic_optimizer})
+        return optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
-    def log_prob(
-        self,
-        actor_params: Float[Tensor, "S P"],
-        obs: Float[Tensor, "S B O"],
-        pre_tanh: Float[Tensor, "S B A"],
-    ) -> Float[Tensor, "S B"]:
+    def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
-        obs = self.normaliser(obs)
-        return self.actor.log_prob(actor_params, obs, pre_tanh)
+        return self.actor.log_prob(actor_params, self.normaliser(obs), pre_tanh)
 
     @torch.no_grad()
-    def rollout(self, block: Batch, reward: Float[Tensor, "S T"]) -> Rollout:
-        """Work out what a block teaches.
-
-        Args:
-            block: the last steps, in the order in which the present policy took them.
-            reward: what to maximise.
-
-        Returns:
-            The block with log π as it is now, advantages of mean 0 and spread 1, and targets of
-            the value network, A + V.
-        """
+    def rollout(self, block: Batch, reward: Vector) -> Rollout:
+        """Return what a block teaches: the last steps, in the order in which they were taken."""
         obs, next_obs = self.normaliser(block.obs), self.normaliser(block.next_obs)
         value, next_value = (
             self.critic(self.critic_params, x).squeeze(-1) for x in (obs, next_obs)
         )
-        ends = episode_ends(block.obs, block.next_obs)
-        discount = self.config.discount
+        ends, discount = episode_ends(block.obs, block.next_obs), self.config.discount
         advantage = gae(reward, value, next_value, block.terminated, ends, discount, GAE_DECAY)
         mean, std = advantage.mean(1, keepdim=True), advantage.std(1, keepdim=True)
         log_prob = self.actor.log_prob(self.actor_params, obs, block.pre_tanh)
         scaled = (advantage - mean) / (std + 1e-8)
         return Rollout(obs, block.pre_tanh, log_prob, scaled, advantage + value)
 
-    def update(
-        self, minibatch: Rollout, noise: Float[Tensor, "S B A"]
-    ) -> dict[str, Float[Tensor, "S"]]:
-        """Take one step with the actor and one with the value network.
-
-        Args:
-            minibatch: some steps of the last `rollout`.
-            noise: standard normal, for the actions at which the entropy is estimated.
-
-        Returns:
-            Losses and diagnostics of each member.
-        """
+    def update(self, minibatch: Rollout, noise: Action) -> Metrics:
+        """Take a step with actor and value network; `noise` is to estimate the entropy."""
         obs, pre_tanh, old_log_prob, advantage, target = minibatch
         log_prob = self.actor.log_prob(self.actor_params, obs, pre_tanh)
         entropy = -self.actor.sample(self.actor_params, obs, noise)[1].mean(-1)
         surrogate = clipped_surrogate(log_prob, old_log_prob, advantage, CLIP)
         descend(surrogate - self.config.temperature * entropy.sum(), self.actor_optimizer)
         value = self.critic(self.critic_params, obs).squeeze(-1)
-        descend(value_loss(value, target), self.critic_optimizer)
-        return {
-            "critic_loss": (value.detach() - target).square().mean(-1),
-            "q": value.detach().mean(-1),
-        }
+        descend(critic_loss(value, target), self.critic_optimizer)
+        loss = (value.detach() - target).square().mean(-1)
+        return {"critic_loss": loss, "q": value.detach().mean(-1)}

@@ -9,6 +9,7 @@ from torch.nn.functional import softplus
 
 from offairl_lite.ablations.bottleneck import Code, expected_cross_entropy, gauss_hermite
 from offairl_lite.core.discriminator import airl_loss
+from offairl_lite.core.networks import StackedMLP
 from offairl_lite.core.rng import Rng
 
 S, ROWS = 3, 5
@@ -24,7 +25,7 @@ def cross_entropy(expert_logit, policy_logit):
 
 @pytest.mark.parametrize("sizes", [(4, 1), (4, 6, 7, 1)])
 def test_a_bottleneck_at_its_mean_is_a_network(sizes):
-    code, x = Code(sizes, 3, "tanh"), inputs(4)
+    code, x = Code(StackedMLP(sizes, "tanh"), 3), inputs(4)
     count = code.encoder.num_params + code.head.num_params
     params = Rng(range(S)).normal(count).double()  # biases too, which begin at zero
     encoder, head = params.split([code.encoder.num_params, code.head.num_params], 1)
@@ -34,7 +35,7 @@ def test_a_bottleneck_at_its_mean_is_a_network(sizes):
 
 
 def test_the_spread_of_a_bottleneck_is_that_of_its_samples():
-    code, x = Code((4, 6, 1), 3, "tanh"), inputs(4)
+    code, x = Code(StackedMLP((4, 6, 1), "tanh"), 3), inputs(4)
     params = Rng(range(S)).normal(code.encoder.num_params + code.head.num_params).double() / 2
     encoder, head = params.split([code.encoder.num_params, code.head.num_params], 1)
     mean, log_std = code.encoder(encoder, x).chunk(2, -1)

@@ -120,10 +120,9 @@ def test_f_is_reward_plus_shaping_by_separate_networks(name):
     batch = data()[0]
     s, s_next = discriminator.normaliser(batch.obs), discriminator.normaliser(batch.next_obs)
     x = s if "r(s)" in name else torch.cat([s, batch.action], -1)
-    r = discriminator.reward_net(discriminator.reward_weights, x).squeeze(-1)
-    v, v_next = (
-        discriminator.value_net(discriminator.value_weights, y).squeeze(-1) for y in (s, s_next)
-    )
+    reward_weights, value_weights = discriminator.weights
+    r = discriminator.reward_net(reward_weights, x).squeeze(-1)
+    v, v_next = (discriminator.value_net(value_weights, y).squeeze(-1) for y in (s, s_next))
     expected = r + config.discriminator.discount * v_next - v
     torch.testing.assert_close(discriminator.f(discriminator.seen(batch)), expected)
 

@@ -249,6 +249,7 @@ def test_the_temperature_s_first_step_by_hand():
 def test_losses_are_summed_over_members_and_averaged_over_the_batch():
     ones = torch.ones(3, 5)
     assert critic_loss(torch.zeros(2, 3, 5), ones).item() == 6
+    assert critic_loss(torch.zeros(3, 5), 2 * ones).item() == 12
     assert actor_loss(ones, 2 * ones, torch.ones(3, 1)).item() == -3
     assert temperature_loss(torch.zeros(3, 1), ones, 1.0, ones).item() == -6
 
