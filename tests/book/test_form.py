@@ -82,7 +82,8 @@ def test_the_plain_program_is_written_by_the_chapters(name):
 def test_a_chapter_can_be_read_in_half_an_hour(path):
     """At most 3,000 words, 250 lines of visible code, and 20 lines a cell.
 
-    Formulas count as words; solutions do not. A cell that writes a part of `plain.py` may be longer.
+    Formulas count as words; solutions do not. A cell that writes a part of `plain.py` may be
+    longer.
     """
     words = lines = 0
     for cell, source in cells(path):
