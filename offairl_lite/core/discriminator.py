@@ -245,8 +245,10 @@ class Discriminator:
             r = self.frozen(batch.obs, batch.action)
             return r if self.is_airl else OF_LOGIT[self.config.reward](r)
         f = self.f(self.seen(batch))
-        if log_prob is None or not self.config.log_prob_in_reward:
+        if not self.config.log_prob_in_reward:
             return f
+        if log_prob is None:
+            raise ValueError(f"{self.config.reward} is f - log π: give it the actions' log_prob")
         return log_odds(f, log_prob)
 
     @property
