@@ -49,13 +49,12 @@ def offairl(tmp_path, monkeypatch):
     script.write_text(WORK)
     made = []
 
-    def create(folder, config, seeds, **given):
-        made.append((folder, given))
+    def create(folder, spec, given):
+        made.append((folder, spec, given))
         folder.mkdir(parents=True)
-        RunSpec(config, tuple(seeds), {}, None, 1).write(folder)
+        spec.write(folder)
         (folder / "run.json").write_text('{"state": "waiting", "step": 0}')
         (folder / "curve.csv").write_text(HEADER)
-        return "3 MB"
 
     def is_finished(folder):
         return json.loads((folder / "run.json").read_text())["state"] != "waiting"
@@ -66,12 +65,13 @@ def offairl(tmp_path, monkeypatch):
     monkeypatch.setattr(folders, "create", create)
     monkeypatch.setattr(worker, "is_finished", is_finished)
     monkeypatch.setattr(worker, "work", work)
+    monkeypatch.setattr(
+        jobs, "command", lambda folder: [sys.executable, str(script), str(folder)]
+    )
 
     def call(line, name="maze-expert"):
         made.clear()
-        command = launch.run_command(
-            name, "demo", lambda folder: [sys.executable, str(script), str(folder)]
-        )
+        command = launch.run_command(name, "demo")
         tyro.extras.subcommand_cli_from_dict(
             {"run": command, "other": print}, prog="offairl", args=["run", *line.split()]
         )

@@ -4,11 +4,11 @@ import math
 import sys
 
 import pytest
+from run_folders import create
 
 from offairl_lite.core.loop import train
 from offairl_lite.runs import cli
 from offairl_lite.runs import tensorboard as logs
-from offairl_lite.runs.folders import create
 from offairl_lite.runs.worker import work
 
 
