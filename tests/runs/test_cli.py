@@ -541,7 +541,7 @@ def test_what_is_given_of_other_runs_is_shared_out_with_the_seeds(elsewhere):
 def test_a_process_that_fails_is_told_of(capsys, elsewhere):
     offairl(f"run maze-expert --out both {SMALL} --processes 2")
     offairl("resume both --steps 300")
-    folders.extend("both", 400)
+    folders.extend(Path("both"), 400)
     log, replay = (Path("both/seeds-0/checkpoint") / name for name in ("log.txt", "replay.f32"))
     content = bytearray(replay.read_bytes())
     content[:] = bytes(len(content))
