@@ -13,8 +13,8 @@ scale config core.rng core.acceleration envs tabular core.networks core.policies
 core.absorbing core.rollouts minari_storage demonstrations plain core.rewards core.discriminator
 core.sac core.td3 core.ppo core.results core.collector core.models core.fitting core.evaluation
 core.requirements core.loop ablations experiments analysis.statistics analysis.epic analysis.plots
-analysis.films runs.shipping runs.records runs.tensorboard runs.provenance runs.inputs
-runs.checkpoints runs.jobs runs.worker runs.folders runs.grid runs.launch runs.bench runs.cli
+analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
+runs.checkpoints runs.jobs runs.folders runs.grid runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

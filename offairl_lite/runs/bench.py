@@ -39,7 +39,7 @@ from offairl_lite.core.loop import Trainer
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs.provenance import origin
+from offairl_lite.runs.records import origin
 
 TASK, BATCH = "HalfCheetah-v5", 100
 OTHERS = {"sb3": ("stable-baselines3", "stable_baselines3"), "sbx": ("sbx-rl", "sbx")}

@@ -19,7 +19,7 @@ from offairl_lite.analysis import films
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import folders, inputs, jobs, launch, provenance, records
+from offairl_lite.runs import folders, inputs, jobs, launch, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.scale import Scale, current
@@ -188,7 +188,7 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
         return print("the same, every return of every episode")
     then = records.read_json(records.run_folders(record)[0] / "run.json")
     said = [f"{record} comes out otherwise here"]
-    for key, (was, here) in provenance.changed(then, provenance.origin(Execution())).items():
+    for key, (was, here) in records.changed(then, records.origin(Execution())).items():
         cure = " (the environment variable ATEN_CPU_CAPABILITY sets them)" * (key == "vectors")
         said.append(f"{key}: {was}, here {here}{cure}")
     raise ValueError("; ".join(said))

@@ -1,13 +1,11 @@
 """Configurations from texts: the points of a grid, and the options of the command line."""
 
-import ast
-import inspect
 import itertools
-import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Annotated, Any, TypedDict, get_type_hints
 
+from docstring_parser import parse_from_object
 from tyro.conf import OmitArgPrefixes, arg
 
 from offairl_lite.config import (
@@ -61,25 +59,11 @@ def docstrings() -> dict[str, str]:
     texts = dict(HELP)
     for base in (Schedule, LearnerConfig, DiscriminatorConfig):
         for kind in kinds(base).values():
-            for parent in kind.__mro__:
-                for name, text in _docstrings_of(parent):
-                    texts.setdefault(kind.renamed.get(name, name), text)
+            own = [parent for parent in kind.__mro__ if parent.__module__ != "builtins"]
+            for field in (field for parent in own for field in parse_from_object(parent).params):
+                name = kind.renamed.get(field.arg_name, field.arg_name)
+                texts.setdefault(name, " ".join((field.description or "").split()))
     return {name: texts[name] for name in flat_settings()}
-
-
-def _docstrings_of(group: type) -> Iterator[tuple[str, str]]:
-    """Yield the fields of a class with the docstrings below them, which only its source has."""
-    if not group.__module__.startswith("offairl_lite."):
-        return
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
-    if isinstance(tree, ast.ClassDef):
-        for pair in itertools.pairwise(tree.body):
-            match pair:
-                case (
-                    ast.AnnAssign(target=ast.Name(id=name)),
-                    ast.Expr(value=ast.Constant(value=str(text))),
-                ):
-                    yield name, " ".join(text.split())
 
 
 def points(

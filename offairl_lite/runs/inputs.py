@@ -129,7 +129,7 @@ def demonstrations_of(
         if "dataset" not in shown:
             raise ValueError(
                 f"{folder} began with demonstrations that `demonstrations.load` did not make: give "
-                "the same to `worker.work` again"
+                "the same to `folders.work` again"
             )
         # Older runs do not say how they were thinned, nor of how many experts they are.
         rest = shown["dataset"], shown.get("subsample", 1), shown.get("experts")

@@ -43,7 +43,7 @@ def log_of(folder: Path) -> Path:
 
 def command(folder: Path) -> list[str]:
     """Return the command that trains a run folder to its end."""
-    return [sys.executable, "-m", "offairl_lite.runs.worker", str(folder)]
+    return [sys.executable, "-m", "offairl_lite.runs.folders", str(folder)]
 
 
 def cores() -> int:

@@ -20,7 +20,7 @@ from offairl_lite.core.loop import Trainer
 from offairl_lite.core.results import Run
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import checkpoints, folders, inputs, jobs, records, worker
+from offairl_lite.runs import checkpoints, folders, inputs, jobs, records
 from offairl_lite.runs.grid import options, points
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
@@ -217,7 +217,7 @@ def _missing_seeds(
         spec = RunSpec.read(path)
         files = {name: about["files"] for name, about in spec.inherited.items() if about["files"]}
         was = {**(spec.demonstrations or {}), **files}
-        found = {name: (was[name], now[name]) for name in was.keys() & now.keys()}
+        found = {name: (was[name], now[name]) for name in now if name in was}
         found |= differences(spec.config, config)
         if not set(spec.seeds) <= set(seeds):
             found["seeds"] = spec.seeds, tuple(seeds)
@@ -263,11 +263,11 @@ def _finish(
 ) -> None:
     """Train run folders to their ends, one of them in this process, and show what came of it."""
     todo = [path for name in names for path in run_folders(place / name)]
-    left = [path for path in todo if not worker.is_finished(path)]
+    left = [path for path in todo if not folders.is_finished(path)]
     failures = []
     try:
         if len(left) == 1 and how.get("engine", "processes") == "processes":
-            worker.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
+            folders.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
         elif left:
             failures = jobs.execute(left, **how)
     except KeyboardInterrupt:

@@ -3,7 +3,7 @@
 - `config.json`: what the run is (`RunSpec`);
 - `curve.csv`: one row for each seed and evaluation;
 - `run.json`: its state, the step of its last checkpoint, seeds that diverged, wall time, and what
-  produced it (`provenance.origin`);
+  produced it (`origin`);
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
@@ -18,8 +18,13 @@ import hashlib
 import io
 import json
 import os
+import platform
+import subprocess
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -28,6 +33,7 @@ import torch
 
 from offairl_lite import ablations  # noqa: F401  (registers their settings and actors)
 from offairl_lite.config import Config, differences
+from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row, Run
@@ -45,6 +51,9 @@ curves can still be read."""
 
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
+
+PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
+"""Whose versions a record tells."""
 
 
 @dataclass(frozen=True)
@@ -239,3 +248,47 @@ def require_format(path: Path, found: int) -> None:
             f"{path} has format {found}, and this version of the package reads format {FORMAT}: "
             "use the version that wrote it (run.json names it), or start a new run"
         )
+
+
+def origin(execution: Execution) -> dict[str, Any]:
+    """Return what produces a run, and when it was begun."""
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {name: version(name) for name in PACKAGES},
+        "machine": platform.machine(),
+        "processor": processor(),
+        "vectors": torch.backends.cpu.get_cpu_capability(),
+        "cores": os.cpu_count(),
+        "threads": execution.threads,
+        "commit": _commit(),
+    }
+
+
+def changed(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return what two origins have otherwise of all that may change a number: before and after.
+
+    What an older origin does not say is None.
+    """
+    keys = ("versions", "processor", "vectors", "commit")
+    return {key: (then.get(key), now[key]) for key in keys if then.get(key) != now[key]}
+
+
+def processor() -> str:
+    """Return the processor's name, which only Linux keeps in a file."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _commit() -> str | None:
+    """Return the commit of the package, if it runs from a checkout."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    with suppress(OSError):
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True)
+        return done.stdout.strip() or None
+    return None

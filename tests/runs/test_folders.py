@@ -29,14 +29,14 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import Demonstrations, load
-from offairl_lite.runs import checkpoints, folders, inputs, provenance, records, worker
+from offairl_lite.runs import checkpoints, folders, inputs, records
 
 MAZE, HOPPER = "offairl/PointMazeLeft-v0", "Hopper-v5"
 SEEDS = (3, 7)
 
 # A server that has imported everything forks the processes that are killed.
 PROCESSES = multiprocessing.get_context("forkserver")
-PROCESSES.set_forkserver_preload(["offairl_lite.runs.worker"])
+PROCESSES.set_forkserver_preload(["offairl_lite.runs.folders"])
 
 
 @pytest.fixture
@@ -54,12 +54,12 @@ def folder(tmp_path):
 def run(folder, config, *, seeds=SEEDS, checkpoint_every=40, **given):
     """Make a run and take it to its end."""
     create(folder, config, seeds, checkpoint_every=checkpoint_every, **given)
-    worker.work(folder, demonstrations=given.get("demonstrations"), progress=False)
+    folders.work(folder, demonstrations=given.get("demonstrations"), progress=False)
     return folder
 
 
 def resume(folder):
-    worker.work(folder, progress=False)
+    folders.work(folder, progress=False)
 
 
 def manifest(folder):
@@ -114,7 +114,7 @@ def train(folder, given, moment, times):
         tensors = load_file(path)
         batch = Batch(*(tensors[name] for name in Batch._fields))
         demonstrations = Demonstrations(env_id, batch, lengths)
-    worker.work(folder, demonstrations=demonstrations, progress=False)
+    folders.work(folder, demonstrations=demonstrations, progress=False)
 
 
 def die_at(folder, moment, times):
@@ -288,7 +288,7 @@ def test_a_record_can_be_read_at_any_time(folder, plain, monkeypatch):
 def test_the_manifest_says_what_made_the_run(interrupted, folder):
     first = manifest(folder)
     assert first["versions"]["torch"] == torch.__version__
-    assert set(first["versions"]) == set(provenance.PACKAGES)
+    assert set(first["versions"]) == set(records.PACKAGES)
     assert first["processor"]
     assert (first["threads"], first["cores"]) == (1, os.cpu_count())
     commit = subprocess.run(
@@ -560,9 +560,9 @@ def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
 def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonstrations):
     create(folder, tiny, SEEDS, demonstrations=random_demonstrations(MAZE))
     with pytest.raises(ValueError, match="3 trajectories from elsewhere are not those"):
-        worker.work(folder, demonstrations=random_demonstrations(MAZE, 3))
-    with pytest.raises(ValueError, match=r"did not make: give the same to `worker.work` again"):
-        worker.work(folder)
+        folders.work(folder, demonstrations=random_demonstrations(MAZE, 3))
+    with pytest.raises(ValueError, match=r"did not make: give the same to `folders.work` again"):
+        folders.work(folder)
 
 
 def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
@@ -643,7 +643,7 @@ def test_a_stop_before_the_end_is_noted_loses_nothing(steps, folder, plain, tmp_
         for one in (whole, folder):
             folders.extend(one, steps)
         resume(whole)
-    before = worker._Worker.note
+    before = folders._Worker.note
 
     def note(self, state):
         if state == "finished":
@@ -651,16 +651,16 @@ def test_a_stop_before_the_end_is_noted_loses_nothing(steps, folder, plain, tmp_
         before(self, state)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(worker._Worker, "note", note)
+        patch.setattr(folders._Worker, "note", note)
         if steps == 100:
             shutil.rmtree(folder)
             create(folder, plain, SEEDS, checkpoint_every=40)
         with pytest.raises(Broken):
             resume(folder)
-    assert not worker.is_finished(folder)
+    assert not folders.is_finished(folder)
     resume(folder)
     assert manifest(folder)["state"] == "finished"
-    assert worker.is_finished(folder)
+    assert folders.is_finished(folder)
     assert_same(folder, whole)
 
 
@@ -720,7 +720,7 @@ def test_a_full_disk_is_foreseen(folder, plain, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(checkpoints, "save_weights"), (records, "lines"), (worker, "write_json")]
+    ("module", "name"), [(checkpoints, "save_weights"), (records, "lines"), (folders, "write_json")]
 )
 def test_a_full_disk_loses_nothing(module, name, folder, plain, tmp_path, monkeypatch):
     whole = run(tmp_path / "whole", plain)
@@ -794,7 +794,7 @@ def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypat
     resume(folder)
     assert manifest(folder)["state"] == "stopped: every member has diverged"
     assert list(records.read(folder).diverged) == [3, 7]
-    assert worker.is_finished(folder)
+    assert folders.is_finished(folder)
     monkeypatch.undo()
     folders.extend(folder, seeds=(5,))
     resume(folder / "seeds-5")

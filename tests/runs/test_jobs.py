@@ -122,7 +122,7 @@ def wait_for(condition, seconds=60):
 
 
 def test_a_job_trains_one_run_folder():
-    assert jobs.command(Path("one"))[1:] == ["-m", "offairl_lite.runs.worker", "one"]
+    assert jobs.command(Path("one"))[1:] == ["-m", "offairl_lite.runs.folders", "one"]
 
 
 def test_all_is_done(engine, prepare, capsys):

@@ -11,7 +11,7 @@ import pytest
 import tyro
 
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.runs import checkpoints, folders, jobs, launch, worker
+from offairl_lite.runs import checkpoints, folders, jobs, launch
 from offairl_lite.runs.records import HEADER, RunSpec, read
 
 SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
@@ -63,8 +63,8 @@ def offairl(tmp_path, monkeypatch):
         subprocess.run([sys.executable, str(script), str(folder)], check=True)
 
     monkeypatch.setattr(folders, "create", create)
-    monkeypatch.setattr(worker, "is_finished", is_finished)
-    monkeypatch.setattr(worker, "work", work)
+    monkeypatch.setattr(folders, "is_finished", is_finished)
+    monkeypatch.setattr(folders, "work", work)
     monkeypatch.setattr(jobs, "command", lambda folder: [sys.executable, str(script), str(folder)])
 
     def call(line, name="maze-expert"):
