@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from importlib.metadata import version
 from importlib.util import find_spec
 from statistics import median
 from typing import Any, Literal
@@ -244,7 +245,9 @@ def measure(options: Options) -> dict[str, Any]:
         if title in rivals:
             one, other = (made[rival].rates for rival in rivals[title])
             rates[title]["ratio"] = median(a / b for a, b in zip(one, other, strict=True))
-    return {"origin": origin(execution), "options": asdict(options), "rates": rates}
+    about, others = origin(execution), [OTHERS[name][0] for name in options.against]
+    about["versions"] |= {package: version(package) for package in others}
+    return {"origin": about, "options": asdict(options), "rates": rates}
 
 
 def table(report: dict[str, Any]) -> str:

@@ -666,7 +666,7 @@ def test_a_stop_before_the_end_is_noted_loses_nothing(steps, folder, plain, tmp_
 
 def test_what_goes_on_elsewhere_says_so(interrupted, folder, monkeypatch, caplog):
     began = manifest(folder)
-    monkeypatch.setattr(provenance, "processor", lambda: "an abacus")
+    monkeypatch.setattr(records, "processor", lambda: "an abacus")
     folders.extend(folder, 150)
     resume(folder)
     ended = manifest(folder)
