@@ -34,11 +34,8 @@ FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
 
-    Args:
-        folder: a new or empty one, also one below a run folder; FileExistsError says that it holds
-            something.
-        spec: what the run is.
-        given: what it has of other runs, as `inputs.load` returns it.
+    The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
+    `given` is what the run has of other runs, as `inputs.load` returns it.
     """
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise FileExistsError(
@@ -69,14 +66,9 @@ def work(
 ) -> None:
     """Train a run folder from where it is to its end. A run that has ended is left as it is.
 
-    Members that diverge are given up: run.json says why, and the others go on. ValueError says that
-    the run is not what it began as, or that a file is damaged; OSError that another process is at
-    work on it, or that the disk is full.
-
-    Args:
-        folder: the run folder.
-        demonstrations: what the run began with; by default they are loaded.
-        progress: whether to show a bar.
+    Members that diverge are given up: run.json says why, and the others go on. Demonstrations are
+    loaded if they are not given. ValueError says that the run is not what it began as, or that a
+    file is damaged; OSError that another process is at work on it, or that the disk is full.
     """
     folder = Path(folder)
     spec = RunSpec.read(folder)
@@ -242,15 +234,11 @@ def verify(
 ) -> dict[tuple[int, int], tuple[Row | None, Row | None]]:
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
-    Args:
-        folder: of the record. Its checkpoints are not needed. Of several run folders the first is
-            verified.
-        evaluations: how many evaluations to do again, from the first one on.
-        progress: whether to show a bar.
+    Its checkpoints are not needed. Of several run folders the first is verified.
 
     Returns:
-        By seed and step the recorded row, and the row as it comes out now. None stands for a member
-        that had diverged, there or here.
+        By seed and step the recorded row, and the row as it comes out now, from the first of so
+        many `evaluations` on. None stands for a member that had diverged, there or here.
     """
     folder = run_folders(folder)[0]
     spec = RunSpec.read(folder)

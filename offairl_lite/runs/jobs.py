@@ -62,18 +62,9 @@ def execute(
 ) -> list[str]:
     """Train run folders to their ends, one process for each, and try once more what fails.
 
-    A KeyboardInterrupt, or SIGTERM, ends the jobs, which can be gone on with.
-
-    Args:
-        folders: the run folders.
-        engine: processes of this machine, or of a Ray cluster.
-        workers: how many at a time; by default one on each core.
-        address: the address of the Ray cluster, `auto` on one of its nodes; None for a cluster on
-            this machine that is started and ended here.
-        gpus: how much of a GPU a job takes on a Ray cluster.
-
-    Returns:
-        Of each job that failed twice its folder, how its process ended, and the end of its log.
+    On a Ray cluster, at an `address` or started here, each job takes so many `gpus`. A
+    KeyboardInterrupt, or SIGTERM, ends the jobs, which can be gone on with. Returned is of each job
+    that failed twice its folder, how its process ended, and the end of its log.
     """
     if engine == "processes" and address is not None:
         raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")
