@@ -13,9 +13,8 @@ scale config core.shapes core.rng core.acceleration envs tabular core.networks c
 core.replay core.absorbing core.rollouts minari_storage demonstrations plain core.rewards
 core.discriminator core.sac core.td3 core.ppo core.results core.collector core.models core.fitting
 core.evaluation core.requirements core.loop ablations experiments analysis.statistics analysis.epic
-analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.provenance
-runs.inputs runs.checkpoints runs.folders runs.jobs runs.worker runs.grid runs.launch runs.estimate
-runs.contestants runs.bench runs.cli
+analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
+runs.checkpoints runs.jobs runs.folders runs.grid runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

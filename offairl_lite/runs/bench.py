@@ -1,283 +1,287 @@
-"""How fast the package trains on this machine: the command `offairl bench`.
+"""How fast the package trains on this machine: `offairl bench`, and how long a run would take.
 
 Machines differ, and one machine differs from hour to hour. So the contestants take turns, round
-after round. A rate is the median over the rounds. The ratios are what counts, and each is the
-median of the ratios within a round. Everything runs on one thread unless you ask for more, because
-a second core does more good with a second process. Whatever trains is kept to one core on Linux,
-because JAX uses a second one even if it is told not to. The benchmark measures, on HalfCheetah:
+after round, in one process. On Linux it is kept to one core, unless you ask for more threads. Rates
+are medians over the rounds; the ratios, which are what counts, are medians of the ratios within a
+round. On HalfCheetah there are:
 
-- *Combined updates*: one update of the discriminator, with its penalty, and one of SAC, whose actor
-  learns every second time. They come in blocks, as in training, and are compiled where there is a
-  compiler. One member waits for thin products and for calls; many members wait for element-wise
-  work, above all Adam's, which waits for memory. At demo size nothing is compiled, because
-  compiling takes longer than the run. One member's time then goes to calling some four hundred
-  small operations. Five members make as many calls, and what they cost more is arithmetic.
-- *Products*: the matrix products of these updates alone, in the same shapes, one after the other.
-  An update cannot be faster than they are, and the table shows their share of its time. Products
-  of thin first layers are slow. A layer with one output is a sum and does not count.
-- *Whole steps*: one step of the environment and one combined update. With `--against`, the SAC of
-  Stable-Baselines3 or SBX runs on the same environment, with the same hidden layers and batch, and
-  otherwise its own defaults: one step and one update, without a discriminator. Its actor learns
-  every time. About a tenth of our time goes to acting and physics. Stable-Baselines3 waits for
-  calls, SBX waits for its products as we do.
-- *Environments*: ten members of each built-in task, with random actions.
-- *Two processes* with the largest population, beside one of them alone, on the CPU only. They share
-  the memory's bandwidth and the last level of cache.
-- *Memory*: the most that one such process has held, and this one with all its contestants; on a
-  GPU, what PyTorch has held there.
+- *updates*: of the discriminator, with its penalty, and of SAC, in blocks as in training, compiled
+  where there is a compiler;
+- *products*: the matrix products of these updates alone, one after the other. An update cannot be
+  faster than they are. A layer with one output is a sum and does not count;
+- *steps*: of the environment, with an update each. With `--against`, the SAC of Stable-Baselines3
+  or SBX steps on the same environment, with the same hidden layers and batch, and otherwise its
+  own defaults: it trains no discriminator, and its actor learns every time.
 """
 
-import json
 import os
-import platform
-import resource
-import subprocess
-import sys
-from contextlib import ExitStack
-from dataclasses import asdict
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from statistics import median
-from textwrap import fill
 from typing import Any, Literal
 
 import torch
+from gymnasium.spaces.utils import flatdim
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils.flop_counter import flop_registry
 from tqdm.auto import tqdm
 
-from offairl_lite.core.acceleration import Execution
-from offairl_lite.envs import TASKS
-from offairl_lite.runs.contestants import (
-    DEMO,
-    MEMBERS,
-    PAPER,
-    SMALL,
-    TASK,
-    Contestant,
-    Learner,
-    Options,
-    environment_steps,
-    kept_to_cores,
-    other_steps,
-    our_products,
-    our_steps,
-    our_updates,
-    ours,
-    race,
-)
-from offairl_lite.runs.estimate import estimate as estimate
-from offairl_lite.runs.provenance import PACKAGES, processor
+from offairl_lite import envs
+from offairl_lite.config import CORRECTED, Config
+from offairl_lite.core.acceleration import Execution, compiler
+from offairl_lite.core.fitting import CHUNK
+from offairl_lite.core.loop import Trainer
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.rng import Rng
+from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.runs.records import origin
 
+TASK, BATCH = "HalfCheetah-v5", 100
 OTHERS = {"sb3": ("stable-baselines3", "stable_baselines3"), "sbx": ("sbx-rl", "sbx")}
 """The names of the other libraries, for pip and for Python."""
 
-STEP_TARGETS = (
-    (ours(SMALL, 100), Learner("sb3", SMALL, 100), 1.6),
-    (ours(SMALL, 100), Learner("sbx", SMALL, 100), 1.0),
-    (ours(SMALL, 100), Learner("sb3", SMALL, 256), 2.4),
-    (ours(PAPER, 100), Learner("sb3", SMALL, 256), 1.7),
-)
-"""How many times as many steps as the second the first should make."""
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and for how long.
+
+    Args:
+        hidden: layers of actor and critics; by default 256 256, and then the paper's 400 300.
+        populations: numbers of members whose updates are measured.
+        against: whose SAC to measure beside ours, at the first network: that of Stable-Baselines3
+            (at its own batch of 256 as well), that of SBX.
+        device: where our networks and replay live; the others' stay on the CPU.
+        compile: whether our updates are compiled, by default where there is a compiler.
+        threads: of PyTorch, of JAX and of the physics.
+        rounds: how often each contestant has its turn.
+        seconds: how long a turn takes at least.
+    """
+
+    hidden: tuple[int, ...] | None = None
+    populations: tuple[int, ...] = (1, 2, 5, 10)
+    against: tuple[Literal["sb3", "sbx"], ...] = ()
+    device: Literal["cpu", "cuda"] = "cpu"
+    compile: bool = field(default_factory=lambda: compiler() is not None)
+    threads: int = 1
+    rounds: int = 5
+    seconds: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("hidden", "populations", "threads", "rounds", "seconds"):
+            value = getattr(self, name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if value is not None and not (numbers and min(numbers) > 0):
+                raise ValueError(f"{name} is {value!r}; expected positive numbers")
 
 
-def two_processes(options: Options) -> dict[str, float]:
-    """Return the rate of one process and of two at once, their ratio, and one's peak memory."""
-    command = [sys.executable, "-m", "offairl_lite.runs.bench", json.dumps(asdict(options))]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+@dataclass
+class Contestant:
+    """Something that takes turns with others: `act` does an amount of work."""
 
-    def turn(*processes: subprocess.Popen) -> list[dict[str, float]]:
-        for process in processes:
-            print(options.seconds, file=process.stdin, flush=True)
-        answers = [process.stdout.readline() for process in processes]
-        if not all(answers):
-            raise RuntimeError("a process of the benchmark has died; its last words are above")
-        return [json.loads(answer) for answer in answers]
+    act: Callable[[], object]
+    amount: float
+    flop: float = 0.0
+    rates: list[float] = field(default_factory=list)
+    cpu_s: list[float] = field(default_factory=list)
 
-    one, two = [], []
-    with ExitStack() as stack:
-        pair = [stack.enter_context(subprocess.Popen(command, **pipes)) for _ in range(2)]
-        turn(*pair)  # so that both are there
-        for _ in tqdm(range(options.rounds), desc="two processes", leave=False):
-            alone, together = turn(pair[0]) + turn(pair[1]), turn(*pair)
-            one.append(sum(answer["rate"] for answer in alone) / 2)
-            two.append(sum(answer["rate"] for answer in together))
-    return {
-        "one": median(one),
-        "two": median(two),
-        "ratio": median(b / a for a, b in zip(one, two, strict=True)),
-        "memory_mib": max(answer["memory_mib"] for answer in together),
-    }
+    def turn(self, seconds: float) -> None:
+        """Act for some time; note the amount per second, and the CPU's seconds for each unit."""
+        start, cpu, times, elapsed = time.perf_counter(), time.process_time(), 0, 0.0
+        while times == 0 or elapsed < seconds:
+            self.act()
+            if torch.cuda.is_initialized():
+                torch.cuda.synchronize()
+            times, elapsed = times + 1, time.perf_counter() - start
+        self.rates.append(times * self.amount / elapsed)
+        self.cpu_s.append((time.process_time() - cpu) / (times * self.amount))
 
 
-def serve(options: Options) -> None:
-    """Be one of two processes: take a turn for each line that comes in, of so many seconds."""
-    torch.set_num_threads(options.threads)
-    contestant = our_updates(options, options.learners[-1], max(options.populations))
-    for line in sys.stdin:
-        rate = contestant.turn(float(line))
-        print(json.dumps({"rate": rate, "memory_mib": peak_memory()}), flush=True)
+def endless(options: Options, hidden: tuple[int, ...], members: int, every: int) -> Trainer:
+    """Return a trainer on random demonstrations, with blocks of `every` steps; one is random."""
+    config = CORRECTED.change(
+        env_id=TASK,
+        hidden=hidden,
+        batch_size=BATCH,
+        temperature=None,  # learned, as in the other libraries
+        warmup_steps=every,
+        update_every=every,
+        replay_size=100_000,
+        total_steps=10**9,
+        eval_every=10**9,
+    )
+    how = Execution(options.device, options.threads, options.compile, options.device == "cpu")
+    return Trainer(config, range(members), random_demonstrations(TASK), execution=how)
 
 
-def peak_memory(device: str = "cpu") -> float:
-    """Return the most memory that this process has held, in MiB."""
-    if device == "cuda":
-        return torch.cuda.max_memory_allocated() / 2**20
-    unit = 1 if sys.platform == "darwin" else 2**10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
+def random_demonstrations(env_id: str, rows: int = 1000) -> Demonstrations:
+    """Return one trajectory of random numbers, of the same sizes as the task's."""
+    with closing(envs.make(env_id, 1, 0)) as env:
+        obs, action = flatdim(env.single_observation_space), flatdim(env.single_action_space)
+    rng, zero = Rng([0]), torch.zeros(rows)
+    now, decided, after = (rng.normal(rows, width)[0] for width in (obs, action, obs))
+    return Demonstrations(env_id, Batch(now, decided, after, zero, zero), (rows,))
+
+
+def trained_blocks(trainer: Trainer) -> Iterator[None]:
+    """Run a trainer and yield each time that it has trained on a block of steps."""
+    trained = trainer.trained
+    for _ in trainer.run():
+        if trainer.trained > trained:
+            trained = trainer.trained
+            yield
+
+
+def our_updates(options: Options, hidden: tuple[int, ...], members: int) -> Contestant:
+    """Return combined updates; those of all members count."""
+    trainer = endless(options, hidden, members, CHUNK)
+    next(trained_blocks(trainer))
+    return Contestant(partial(trainer.fit, CHUNK), CHUNK * members)
+
+
+class Products(TorchDispatchMode):
+    """Records the matrix products that are made under it, and what they cost: `flop`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.flop = 0
+        self.calls: list[tuple] = []
+        self.operands: dict[tuple, tuple[list[Tensor], Tensor]] = {}
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        """Let an operation do its work; take a note where it is a product."""
+        kwargs = kwargs or {}
+        result, operation = func(*args, **kwargs), func.overloadpacket
+        if operation in flop_registry:
+            self.flop += flop_registry[operation](*args, **kwargs, out_val=result)
+            call = operation, *((x.shape, x.stride()) for x in args)
+            self.calls.append(call)
+            if call not in self.operands:
+                generator = torch.Generator(result.device).manual_seed(0)
+                drawn = [torch.empty_like(x).normal_(generator=generator) for x in args]
+                self.operands[call] = drawn, torch.empty_like(result)
+        return result
+
+    @torch.no_grad()
+    def again(self) -> None:
+        """Make the same products of random operands, into memory that is there already."""
+        for call in self.calls:
+            operands, out = self.operands[call]
+            call[0].out(*operands, out=out)
+
+
+def our_products(options: Options, hidden: tuple[int, ...], members: int) -> Contestant:
+    """Return the products alone of as many combined updates, made eagerly."""
+    trainer = endless(replace(options, compile=False), hidden, members, CHUNK)
+    products = Products()
+    again = trainer.execution.widen(products.again)  # tries oneDNN, which is not to be counted
+    with products:
+        next(trained_blocks(trainer))
+    return Contestant(again, CHUNK * members, products.flop)
+
+
+def our_steps(options: Options, hidden: tuple[int, ...]) -> Contestant:
+    """Return our whole loop, with one member."""
+    blocks = trained_blocks(endless(options, hidden, 1, 2 * CHUNK))
+    next(blocks)
+    return Contestant(partial(next, blocks), 2 * CHUNK)
+
+
+def other_steps(name: str, hidden: tuple[int, ...], batch_size: int) -> Contestant:
+    """Return another library's loop, compiled and past its warm-up."""
+    if name == "sbx":
+        from sbx import SAC
+    else:
+        from stable_baselines3 import SAC
+    networks = {"policy_kwargs": {"net_arch": [*hidden]}, "batch_size": batch_size}
+    model = SAC("MlpPolicy", TASK, train_freq=1, gradient_steps=1, device="cpu", **networks)
+    learn = partial(model.learn, log_interval=None, reset_num_timesteps=False)
+    learn(model.learning_starts + CHUNK)
+    return Contestant(partial(learn, CHUNK), CHUNK)
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measure everything.
+    """Measure everything: what `offairl bench --json` prints.
 
-    Returns:
-        What `offairl bench --json` prints:
-
-        - `machine`, `versions`, `options`;
-        - `updates`: see `update_row`, for each network and population;
-        - `steps`: of each learner, per second; `environments`: steps of each task, per second;
-        - `processes`: updates per second of one and of two at once, their ratio, and the most
-          memory that one has held; null on a GPU;
-        - `memory_mib`: the most that this process has held, on the device;
-        - `targets`: ratios, with what they are meant to be.
-
-    Raises:
-        ValueError: something that `options` needs is not there.
+    Beside `origin` and `options` these are the `rates` of each contestant: how much a second, the
+    CPU's milliseconds for each, and a ratio. That of updates is the share of their time that their
+    products alone would take; that of another library's steps, how many times as fast ours are.
     """
     for package, module in (OTHERS[name] for name in options.against):
         if find_spec(module) is None:
             raise ValueError(f"{package} is not installed: pip install -e '.[bench]', in a clone")
-    Execution(options.device, options.threads, options.compile)  # refuses what is not there
+    execution = Execution(options.device, options.threads, options.compile)
     torch.set_num_threads(options.threads)
-    # First, while this process is small: Linux counts what it holds among its children's peak.
-    processes = two_processes(options) if options.device == "cpu" else None
-    sizes = [(learner, n) for learner in options.learners for n in options.populations]
-    sizes = list(dict.fromkeys([*sizes, (DEMO, 1), (DEMO, 5)]))
-    works = {"updates": our_updates, "products": our_products}
-    makers = {
-        (kind, *size): partial(works[kind], options, *size) for size in sizes for kind in works
-    }
-    steps = {learner: partial(our_steps, options, learner) for learner in options.learners}
-    steps |= {learner: partial(other_steps, options, learner) for learner in options.opponents}
-    with kept_to_cores(options.threads):
-        made = race("training", makers | steps, options.rounds, options.seconds)
-    makers = {task: partial(environment_steps, options, task) for task in TASKS}
-    environments = race("environments", makers, options.rounds, options.seconds / 2)
-    packages = [*PACKAGES, *(OTHERS[name][0] for name in options.against)]
-    updates = {size: update_row(*size, *(made[kind, *size] for kind in works)) for size in sizes}
-    return {
-        "machine": {
-            "processor": processor(),
-            "cores": os.cpu_count(),
-            "gpu": torch.cuda.get_device_name() if options.device == "cuda" else None,
-        },
-        "versions": {"python": platform.python_version(), **{p: version(p) for p in packages}},
-        "options": asdict(options),
-        "updates": list(updates.values()),
-        "steps": [{**key._asdict(), "steps_per_s": made[key].rate} for key in steps],
-        "environments": {task: env.rate for task, env in environments.items()},
-        "processes": processes,
-        "memory_mib": peak_memory(options.device),
-        "targets": ratios(made, updates, processes),
-    }
-
-
-def update_row(
-    learner: Learner, members: int, updates: Contestant, products: Contestant
-) -> dict[str, Any]:
-    """Return how long combined updates take, and what of it their products would take alone.
-
-    `updates_per_s` is of all members together, and `ms` is the time of one update of all; `flop` is
-    of one member's update.
-    """
-    flop = products.amount / updates.amount
-    return {
-        "hidden": learner.hidden,
-        "batch_size": learner.batch_size,
-        "population": members,
-        "updates_per_s": updates.rate,
-        "ms": 1e3 * members / updates.rate,
-        "products_ms": 1e3 * members * flop / products.rate,
-        "flop": flop,
-        "products_flop_per_s": products.rate,
-        "products_share": updates.over(products) * flop,
-    }
-
-
-def ratios(
-    made: dict[Any, Contestant],
-    updates: dict[tuple[Learner, int], dict[str, Any]],
-    processes: dict[str, float] | None,
-) -> list[dict[str, Any]]:
-    """Return the ratios that were measured, beside what they are meant to be."""
-    found = [
-        _target(f"{one} / {other}", made[one].over(made[other]), ">=", factor)
-        for one, other, factor in STEP_TARGETS
-        if one in made and other in made
-    ]
-    for (learner, members), row in updates.items():
-        if learner != DEMO:
-            what = f"share of products, {learner.layers}, population {members}"
-            found.append(_target(what, row["products_share"], ">=", 0.5))
-    slower = 5 * made["updates", DEMO, 1].over(made["updates", DEMO, 5])
-    found.append(_target("time of five members / of one, demo size", slower, "<=", 1.5))
-    if processes is not None:
-        found.append(_target("two processes / one", processes["ratio"], ">=", 1.9))
-    return found
-
-
-def _target(what: str, measured: float, sense: Literal[">=", "<="], target: float) -> dict:
-    met = measured >= target if sense == ">=" else measured <= target
-    return {"what": what, "measured": measured, "sense": sense, "target": target, "met": met}
+    if hasattr(os, "sched_setaffinity"):  # JAX uses a second core even if it is told not to.
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-options.threads :])
+    networks = [options.hidden] if options.hidden else [(256, 256), (400, 300)]
+    makers: dict[str, Callable[[], Contestant]] = {}
+    rivals: dict[str, tuple[str, str]] = {}
+    for hidden in networks:
+        ours = f"offairl-lite {'-'.join(map(str, hidden))}, batch {BATCH}"
+        for n in options.populations:
+            title, alone = f"updates, {ours}, members {n}", f"products, {ours}, members {n}"
+            makers[title] = partial(our_updates, options, hidden, n)
+            makers[alone] = partial(our_products, options, hidden, n)
+            rivals[title] = title, alone
+        makers[f"steps, {ours}"] = partial(our_steps, options, hidden)
+    first, layers = networks[0], "-".join(map(str, networks[0]))
+    for name in options.against:
+        for batch_size in (BATCH, 256) if name == "sb3" else (BATCH,):
+            title = f"steps, {name} {layers}, batch {batch_size}"
+            makers[title] = partial(other_steps, name, first, batch_size)
+            rivals[title] = f"steps, offairl-lite {layers}, batch {BATCH}", title
+    made = {title: make() for title, make in tqdm(makers.items(), desc="preparing", leave=False)}
+    for contestant in tqdm([*made.values()] * options.rounds, desc="measuring", leave=False):
+        contestant.turn(options.seconds)
+    rates: dict[str, dict[str, float]] = {}
+    for title, it in made.items():
+        rates[title] = {"per_s": median(it.rates), "cpu_ms": 1e3 * median(it.cpu_s)}
+        if title in rivals:
+            one, other = (made[rival].rates for rival in rivals[title])
+            rates[title]["ratio"] = median(a / b for a, b in zip(one, other, strict=True))
+    about, others = origin(execution), [OTHERS[name][0] for name in options.against]
+    about["versions"] |= {package: version(package) for package in others}
+    return {"origin": about, "options": asdict(options), "rates": rates}
 
 
 def table(report: dict[str, Any]) -> str:
     """Lay a report out for people."""
-    machine, options, processes = (report[x] for x in ("machine", "options", "processes"))
-    versions = ", ".join(f"{name} {number}" for name, number in report["versions"].items())
-    lines = [
-        f"{machine['processor']}, cores: {machine['cores']}, threads used: {options['threads']}, "
-        f"GPU used: {machine['gpu'] or 'none'}",
-        fill(versions, 100),
-        f"{TASK}; rounds: {options['rounds']}, a turn: {options['seconds']} s or more",
-        "",
-        "Combined updates, of the discriminator and SAC, and their matrix products alone",
-        "  network  batch  members  updates/s       ms   MFLOP   GFLOP/s  products ms  share",
-    ]
-    for row in report["updates"]:
-        lines.append(
-            f"{ours(row['hidden'], 0).layers:>9} {row['batch_size']:6} {row['population']:8} "
-            f"{row['updates_per_s']:10.0f} {row['ms']:8.2f} {row['flop'] / 1e6:7.0f} "
-            f"{row['products_flop_per_s'] / 1e9:9.0f} {row['products_ms']:12.2f} "
-            f"{row['products_share']:6.2f}"
-        )
-    lines += ["", "Whole steps, of one member; only offairl-lite trains a discriminator, too"]
-    for row in report["steps"]:
-        learner = Learner(row["name"], row["hidden"], row["batch_size"])
-        lines.append(_line(learner, row["steps_per_s"], "steps/s"))
-    lines += ["", f"Environments alone, {MEMBERS} members"]
-    lines += [_line(task, rate, "steps/s") for task, rate in report["environments"].items()]
-    if processes is not None:
-        lines += [
-            "",
-            f"Two processes with {max(options['populations'])} members each",
-            _line("one alone", processes["one"], "updates/s"),
-            _line("both together", processes["two"], "updates/s"),
-            _line("peak memory of one", processes["memory_mib"], "MiB"),
-        ]
-    where = " on the GPU" if machine["gpu"] else ""
-    lines += ["", f"Peak memory of this process{where}: {report['memory_mib']:.0f} MiB", ""]
-    lines.append(f"{'Ratios':72} measured  target")
-    for row in report["targets"]:
-        lines.append(
-            f"  {row['what']:70} {row['measured']:8.2f} {row['sense']} {row['target']:.2f}"
-            + "  missed" * (not row["met"])
-        )
-    return "\n".join(lines)
+    about = report["origin"]
+    lines = [", ".join(f"{name} {number}" for name, number in about["versions"].items()), ""]
+    lines.append(f"{about['processor']:60} a second  CPU ms each  ratio")
+    for title, row in report["rates"].items():
+        ratio = f"{row['ratio']:6.2f}" if "ratio" in row else ""
+        lines.append(f"{title:60} {row['per_s']:8.0f} {row['cpu_ms']:12.3f} {ratio}".rstrip())
+    return "\n".join([*lines, "", "A ratio is the share of products, or how much faster ours are."])
 
 
-def _line(what: object, number: float, unit: str) -> str:
-    return f"  {what!s:34} {number:8.0f} {unit}"
+def estimate(config: Config, members: int) -> float:
+    """Return roughly how many seconds a run takes here, in one process on one core, not compiled.
 
-
-if __name__ == "__main__":
-    serve(Options(**json.loads(sys.argv[1])))
+    We time one block of training and one episode of evaluation, on random demonstrations where a
+    reward is learned. A policy that survives longer than the untrained one takes longer to
+    evaluate.
+    """
+    schedule = config.schedule
+    every = (config.learner.kind == "ppo" and schedule.update_every) or 20
+    short = {"start_steps": 0, "warmup_steps": every, "update_every": every, "eval_episodes": 1}
+    short |= {"total_steps": 10**9, "eval_every": 10**9, "replay_size": max(10_000, every)}
+    plain = {"reward": "environment", "absorbing": "none"} if config.reward == "frozen" else {}
+    fresh = {"pretrained": "nothing"} if config.pretrained != "nothing" else {}
+    tried = config.change(**short, **plain, **fresh)
+    with closing(Trainer(tried, range(members), random_demonstrations(config.env_id))) as trainer:
+        blocks = trained_blocks(trainer)
+        next(blocks)  # the warm-up's
+        start = time.perf_counter()
+        next(blocks)
+        trained = time.perf_counter()
+        trainer.evaluate()
+        evaluated = time.perf_counter()
+    evaluation = (evaluated - trained) * schedule.eval_episodes
+    return schedule.total_steps * ((trained - start) / every + evaluation / schedule.eval_every)

@@ -1,6 +1,11 @@
-"""What a run needs to go on: the files in `checkpoint/`, their disk space, and their lock."""
+"""What a run needs to go on, in the subfolder `checkpoint/`, its disk space, and its lock.
 
-import errno
+- `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
+- `replay.f32`: the replay, mapped into memory, with all that the checkpoint refers to;
+- `lock`: held by the process that trains;
+- `log.txt`: the output of a process that another one started.
+"""
+
 import json
 import os
 import shutil
@@ -11,18 +16,18 @@ from typing import Any
 
 import torch
 from filelock import FileLock, Timeout
+from gymnasium.spaces.utils import flatdim
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.config import Config, flat_settings
+from offairl_lite.config import flat_settings
 from offairl_lite.core.loop import Trainer, replay_slots
 from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.replay import Replay
-from offairl_lite.runs import inputs
+from offairl_lite.runs.inputs import digest
 from offairl_lite.runs.records import FORMAT, RunSpec, read_json, require_format, write_whole
 
-SUBFOLDER = "checkpoint"
-"""The subfolder of what is needed to go on."""
+CHECKPOINT, REPLAY = Path("checkpoint/checkpoint.safetensors"), Path("checkpoint/replay.f32")
 
 MARGIN = 2**23
 """Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
@@ -30,123 +35,104 @@ MARGIN = 2**23
 
 def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
     """Keep a trainer's state. The replay file still has what the checkpoint before it needs."""
-    curve, replay = folder / "curve.csv", folder / SUBFOLDER / "replay.f32"
     trainer.collector.replay.flush()
-    with open(curve, "rb") as file:
+    with open(folder / "curve.csv", "rb") as file:
         os.fsync(file.fileno())
     state = trainer.state()
     about = {
         "kind": "checkpoint",
         "format": FORMAT,
-        "identity": _identity(folder, spec),
+        "identity": _identity(spec),
         "steps": trainer.steps,
-        "finished": trainer.finished,
-        "curve.csv": curve.stat().st_size,
-        "replay.f32": replay.stat().st_size,
+        "curve.csv": (folder / "curve.csv").stat().st_size,
+        "replay.f32": (folder / REPLAY).stat().st_size,
         "ends": _ends(trainer.collector.replay),
         "wall_s": wall_s,
         "diverged": trainer.members.diverged,
     }
-    about["digest"] = inputs.digest(state, about)
-    path = folder / SUBFOLDER / "checkpoint.safetensors"
-    write_whole(path, lambda part: save_weights(part, state, about))
+    about["digest"] = digest(state, about)
+    write_whole(folder / CHECKPOINT, lambda part: save_weights(part, state, about))
 
 
 def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """Return a run's checkpoint, verified; None where the run has yet to begin.
+    """Return a run's checkpoint: the state, and what is said about it; None if there is none yet.
 
-    Raises:
-        FileNotFoundError: the checkpoint is gone.
-        ValueError: it is damaged, or of another format or run.
+    FileNotFoundError says that it is gone, ValueError that it or another file is damaged, or that
+    it is of another format or run, or further than the run is to go.
     """
-    path, reached = (
-        folder / SUBFOLDER / "checkpoint.safetensors",
-        read_json(folder / "run.json")["step"],
-    )
+    path, step = folder / CHECKPOINT, read_json(folder / "run.json")["step"]
     if not path.is_file():
-        if reached:
+        if step:
             raise FileNotFoundError(
-                f"{path} is gone, and the run had reached step {reached}: bring all of {folder} "
-                "back, or start a new run"
+                f"{path} is gone, and the run had reached step {step}: bring all of {folder} back, "
+                "or start a new run"
             )
         return None
     try:
         state, about = load_weights(path, "checkpoint")
-        sound = about.pop("digest", None) == inputs.digest(state, about)
+        sound = about.pop("digest", None) == digest(state, about)
     except ValueError as error:
-        raise ValueError(_damaged(folder, path, error)) from error
+        raise _damaged(folder, path, error) from error
     require_format(path, about.get("format", 1))
     if not sound:
-        raise ValueError(_damaged(folder, path, "its contents are not those that were written"))
+        raise _damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.
     defaults = {name: default for name, (_, default, _) in flat_settings().items()}
-    was = {**json.loads(json.dumps(defaults)), **about["identity"]}
-    now = json.loads(json.dumps(_identity(folder, spec)))
+    was, now = json.loads(json.dumps(defaults)) | about["identity"], _identity(spec)
     changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
     if changed:
         raise ValueError(
             f"{path} is of another run than {folder}/config.json: {'; '.join(changed)}; put back "
             "what was changed, or start a new run"
         )
-    for file in (folder / "curve.csv", folder / SUBFOLDER / "replay.f32"):
+    for file in (folder / "curve.csv", folder / REPLAY):
         found = file.stat().st_size if file.is_file() else 0
         if found < about[file.name]:
-            why = f"it had {about[file.name]} bytes, and has {found}"
-            raise ValueError(_damaged(folder, file, why))
+            raise _damaged(folder, file, f"it had {about[file.name]} bytes, and has {found}")
+    if (reached := about["steps"]) > spec.config.total_steps:
+        raise ValueError(
+            f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
+            f"`offairl resume {folder} --steps N` takes any N from {reached} on"
+        )
     return state, about
 
 
 def restore(
     folder: Path, trainer: Trainer, checkpoint: tuple[dict[str, Tensor], dict[str, Any]]
 ) -> None:
-    """Put a trainer, and the curve, where a checkpoint has them.
-
-    Raises:
-        ValueError: the replay is not the one that the checkpoint belongs to.
-    """
+    """Put a trainer, and the curve, where a checkpoint has them, if the replay belongs to it."""
     state, about = checkpoint
     trainer.restore(state)
     if about["ends"] != _ends(trainer.collector.replay):
-        path = folder / SUBFOLDER / "replay.f32"
-        raise ValueError(_damaged(folder, path, "it is not as it was at the checkpoint"))
+        raise _damaged(folder, folder / REPLAY, "it is not as it was at the checkpoint")
     trainer.members.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
     os.truncate(folder / "curve.csv", about["curve.csv"])
 
 
-def reached(folder: Path, spec: RunSpec) -> int:
-    """Return the step from which a run goes on."""
-    found = load(folder, spec)
-    return found[1]["steps"] if found else 0
+def _damaged(folder: Path, path: Path, why: object) -> ValueError:
+    return ValueError(f"{path} is damaged: {why}; bring all of {folder} back, or start a new run")
 
 
-def _damaged(folder: Path, path: Path, why: object) -> str:
-    return f"{path} is damaged: {why}; bring all of {folder} back, or start a new run"
-
-
-def _identity(folder: Path, spec: RunSpec) -> dict[str, Any]:
-    """Return all that a checkpoint depends on and that must stay as it is."""
-    given = inputs.recorded(folder, spec)
+def _identity(spec: RunSpec) -> dict[str, Any]:
+    """Return all that a checkpoint depends on and that must stay as it is, as JSON has it."""
     identity = {
         **spec.config.flat(),
         **spec.execution,
         "seeds": spec.seeds,
         "checkpoint_every": spec.checkpoint_every,
         "demonstrations": spec.demonstrations and spec.demonstrations["digest"],
-        **{name: inputs.digest_of(thing) for name, thing in given.items()},
+        **{name: about["digest"] for name, about in spec.inherited.items()},
     }
     del identity["total_steps"]
-    return identity
+    return json.loads(json.dumps(identity))
 
 
 def _ends(replay: Replay) -> str:
-    """Return the SHA-256 of each member's oldest and newest row.
-
-    It tells one replay from others, and from itself at another time.
-    """
+    """Return the SHA-256 of each member's oldest and newest row, which tells replays apart."""
     last = replay.added - 1
     first = replay.added - torch.tensor(replay.sizes)
     rows = replay.rows[torch.stack([first, last]) % len(replay.rows), torch.arange(len(last))]
-    return inputs.digest({"rows": rows})
+    return digest({"rows": rows})
 
 
 def most_steps_between(spec: RunSpec) -> int:
@@ -154,59 +140,30 @@ def most_steps_between(spec: RunSpec) -> int:
 
     The block in which the warm-up ends may be cut short, and add to the next.
     """
-    config = spec.config
-    block = config.schedule.update_every or envs.spec(config.env_id).max_episode_steps
-    return spec.checkpoint_every + 2 * (block or config.total_steps)
+    schedule = spec.config.schedule
+    block = schedule.update_every or envs.spec(schedule.env_id).max_episode_steps
+    return spec.checkpoint_every + 2 * (block or schedule.total_steps)
 
 
 def disk_space(spec: RunSpec) -> int:
     """Return the bytes that a run takes at most: its replay, and a margin for all else."""
-    config = spec.config
-    with closing(envs.make(config.env_id, 1, 0)) as env:
-        obs = env.single_observation_space.shape[0] + (config.schedule.absorbing != "none")
-        width = 2 * obs + env.single_action_space.shape[0] + 2
-    rows = replay_slots(config.schedule, most_steps_between(spec))
+    schedule = spec.config.schedule
+    with closing(envs.make(schedule.env_id, 1, 0)) as env:
+        obs, action = flatdim(env.single_observation_space), flatdim(env.single_action_space)
+    width = 2 * (obs + (schedule.absorbing != "none")) + action + 2
+    rows = replay_slots(schedule, most_steps_between(spec))
     return len(spec.seeds) * (4 * rows * width + MARGIN)
 
 
-def missing_space(folder: Path, spec: RunSpec) -> int:
-    """Return the bytes that a run may still take, beside the replay that it has."""
-    replay = folder / SUBFOLDER / "replay.f32"
-    return disk_space(spec) - (replay.stat().st_size if replay.is_file() else 0)
-
-
-def require_room(place: Path, space: int, config: Config) -> None:
-    """Refuse a run for which the disk of a folder, which may be a new one, has no room.
-
-    Raises:
-        OSError: it has less than `space` bytes left.
-    """
+def require_room(place: Path, space: int) -> None:
+    """Raise OSError unless the disk of a folder, which may be a new one, has so many bytes left."""
     there = place.absolute()
     free = shutil.disk_usage(next(path for path in (there, *there.parents) if path.exists())).free
     if free < space:
         raise OSError(
-            f"the run needs {in_words(space)} of disk, mostly replay, and {place} has "
-            f"{in_words(free)} left: lower replay_size ({config.schedule.replay_size}), give "
-            "fewer seeds, or choose another disk"
+            f"{in_words(space)} of disk are needed, mostly for replay, and {place} has "
+            f"{in_words(free)} left: lower replay_size, give fewer seeds, or choose another disk"
         )
-
-
-@contextmanager
-def full_disk_explained(folder: Path, spec: RunSpec) -> Iterator[None]:
-    """Say what to do when the disk of a run is full.
-
-    Raises:
-        OSError: the disk is full.
-    """
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise OSError(
-            f"the disk of {folder} is full: free {in_words(missing_space(folder, spec))}, and "
-            f"`offairl resume {folder}` goes on from the last checkpoint"
-        ) from error
 
 
 def in_words(size: int) -> str:
@@ -216,14 +173,9 @@ def in_words(size: int) -> str:
 
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
-    """Hold a run folder's lock, which ends with the process if not before.
-
-    Raises:
-        OSError: another process holds it.
-    """
-    (folder / SUBFOLDER).mkdir(exist_ok=True)
+    """Hold a run folder's lock, while the process lives; raise OSError if another one has it."""
     try:
-        with FileLock(folder / SUBFOLDER / "lock", timeout=0):
+        with FileLock(folder / "checkpoint" / "lock", timeout=0):
             yield
     except Timeout:
         raise OSError(

@@ -4,24 +4,25 @@ import inspect
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import gymnasium
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, scale
-from offairl_lite.analysis import films as video
+from offairl_lite import demonstrations
+from offairl_lite.analysis import films
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import folders, inputs, jobs, launch, provenance, records
+from offairl_lite.runs import folders, inputs, jobs, launch, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
+from offairl_lite.scale import Scale, current
 
 
 def list_experiments(name: Positional[str | None] = None, *, times: bool = False) -> None:
@@ -33,29 +34,27 @@ def list_experiments(name: Positional[str | None] = None, *, times: bool = False
             and on one core, not compiled. Of those that are several runs it is the first.
     """
     print("Experiments (offairl run NAME):")
-    shown = EXPERIMENTS if name is None else {name: find(name)}
-    for title, experiment in shown.items():
+    for title, experiment in (EXPERIMENTS if name is None else {name: find(name)}).items():
         print(f"  {title:16} {experiment.about}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
-            runs_of_it = [config.change(**c) for c in experiment.variants.values()] or [config]
-            about = f", {_words(estimate(runs_of_it[0], seeds))}" if times else ""
-            tasks = ", ".join(dict.fromkeys(run.env_id for run in runs_of_it))
-            about = f"{size}: {tasks}, {config.total_steps:,} steps, {seeds} seeds{about}"
-            lines = textwrap.wrap(about, 78, break_on_hyphens=False)
-            print(*(f"  {'':16}   {line}" for line in lines), sep="\n")
+            runs = [config.change(**c) for c in experiment.variants.values()] or [config]
+            time = f", {_words(estimate(runs[0], seeds))}" if times else ""
+            tasks = ", ".join(dict.fromkeys(run.env_id for run in runs))
+            _indented(f"{size}: {tasks}, {config.total_steps:,} steps, {seeds} seeds{time}")
         if experiment.variants:
-            names = textwrap.wrap(" ".join(experiment.variants), 78, break_on_hyphens=False)
-            print(
-                *(f"  {'':16}   {line}" for line in ["--only some of these runs:", *names]),
-                sep="\n",
-            )
-    if name is not None:
-        return
-    print("\nExperts (offairl demos ENV_ID):")
-    for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
-        policy = Policy.load(path)
-        print(f"  {policy.env_id:26} {len(policy)} policies")
+            _indented("--only some of these runs:")
+            _indented(" ".join(experiment.variants))
+    if name is None:
+        print("\nExperts (offairl demos ENV_ID):")
+        for path in sorted(demonstrations.EXPERTS.glob("*.safetensors")):
+            policy = Policy.load(path)
+            print(f"  {policy.env_id:26} {len(policy)} policies")
+
+
+def _indented(text: str) -> None:
+    """Print a text below the name of an experiment."""
+    print(textwrap.indent(textwrap.fill(text, 78, break_on_hyphens=False), " " * 21))
 
 
 def _words(seconds: float) -> str:
@@ -134,18 +133,13 @@ def watch(
         raise ValueError(f"member is {member}; {what} has members 0 to {len(policy) - 1}")
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
-    pictures = video.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
-    out.write_bytes(video.mp4(pictures))
+    pictures = films.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
+    out.write_bytes(films.mp4(pictures))
     print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
 
 
 def _policy(what: str) -> Policy:
-    """Return the policy of a run, of a file, or of a task with shipped experts.
-
-    Raises:
-        FileNotFoundError: it is none of them, or a run that has not ended.
-        ValueError: the file holds something else.
-    """
+    """Return the policy of a run, of a file, or of a task with shipped experts."""
     path = Path(what)
     if path.exists() or path.suffix == ".safetensors":
         return inputs.load_one(path, Policy)
@@ -187,20 +181,17 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
     """
     pairs = folders.verify(record, evaluations, sys.stderr.isatty())
     print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
-    for old, new in pairs:
-        one = old or new
-        means = (f"{row.mean_return:.4f}" if row else "diverged" for row in (old, new))
-        print(f"{one.seed:5} {one.step:9,}", *(f"{mean:>12}" for mean in means))
-    if all(old and new and old.returns == new.returns for old, new in pairs):
+    for (seed, step), pair in pairs.items():
+        means = (f"{row.mean_return:.4f}" if row else "diverged" for row in pair)
+        print(f"{seed:5} {step:9,}", *(f"{mean:>12}" for mean in means))
+    if all(old and new and old.returns == new.returns for old, new in pairs.values()):
         return print("the same, every return of every episode")
-    first = records.run_folders(record)[0]
-    then, now = records.read_json(first / "run.json"), provenance.origin(Execution())
-    cures = {"vectors": " (the environment variable ATEN_CPU_CAPABILITY sets them)"}
-    changed = [
-        f"{key}: {was}, here {here}{cures.get(key, '')}"
-        for key, (was, here) in provenance.changed(then, now).items()
-    ]
-    raise ValueError("; ".join([f"{record} comes out otherwise here", *changed]))
+    then = records.read_json(records.run_folders(record)[0] / "run.json")
+    said = [f"{record} comes out otherwise here"]
+    for key, (was, here) in records.changed(then, records.origin(Execution())).items():
+        cure = " (the environment variable ATEN_CPU_CAPABILITY sets them)" * (key == "vectors")
+        said.append(f"{key}: {was}, here {here}{cure}")
+    raise ValueError("; ".join(said))
 
 
 def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
@@ -232,9 +223,9 @@ def main(args: Sequence[str] | None = None) -> None:
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
         name = next((arg for arg in free if arg in EXPERIMENTS), "maze-imitation")
-        sizes = [after for before, after in pairwise(args) if before == "--scale"]
-        size = sizes[0] if sizes and sizes[0] in ("demo", "full") else scale.current()
-        commands = {
+        asked = dict(pairwise(args)).get("--scale")
+        size: Scale = "full" if asked == "full" else "demo" if asked == "demo" else current()
+        commands: dict[str, Callable[..., Any]] = {
             "list": list_experiments,
             "run": launch.run_command(name, size),
             "resume": launch.resume,

@@ -1,130 +1,53 @@
-"""Run folders: runs that can be killed at any moment, made, trained, resumed and extended.
+"""Run folders: made, trained to their ends by one process at a time, extended, and verified."""
 
-One process trains the population of a run folder. What it needs to go on is in `checkpoint/`:
-
-- `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
-- `replay.f32`: the replay, mapped into memory, with all that the checkpoint refers to;
-- `lock`: held by the process that trains;
-- `log.txt`: the output of a process that another one started.
-"""
-
-import operator
+import errno
+import logging
 import os
 import shutil
+import signal
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tqdm.auto import tqdm
-
-from offairl_lite.config import Config
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.loop import Row, Trainer
+from offairl_lite.core.loop import Trainer, complete, train
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs import checkpoints, inputs
-from offairl_lite.runs.checkpoints import SUBFOLDER, in_words
-from offairl_lite.runs.provenance import origin
-from offairl_lite.runs.records import (
-    HEADER,
-    RunSpec,
-    read,
-    read_json,
-    run_folders,
-    seeds_name,
-    write_json,
-)
+from offairl_lite.runs import checkpoints, inputs, jobs, records
+from offairl_lite.runs.records import RunSpec, origin, read_json, run_folders, write_json
 
-CHECKPOINT_EVERY = 2_000
-"""Steps and updates, together, between checkpoints."""
+log = logging.getLogger(__name__)
+
+FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
+"""What `run.json` has as the state of a run that is not gone on with."""
 
 
-def create(
-    folder: str | PathLike,
-    config: Config,
-    seeds: Sequence[int],
-    *,
-    execution: Execution = Execution(),  # noqa: B008
-    demonstrations: Demonstrations | None = None,
-    frozen_reward: Reward | None = None,
-    pretrained_policy: Policy | None = None,
-    guide: Policy | None = None,
-    sources: Mapping[str, Sequence[Path]] | None = None,
-    members: Sequence[int] | None = None,
-    experiment: str | None = None,
-    scale: str | None = None,
-    checkpoint_every: int = CHECKPOINT_EVERY,
-) -> str:
-    """Make the folder of a new run, whole or not at all. `worker.work` then trains.
+def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
+    """Make the folder of a new run, whole or not at all. `work` then trains.
 
-    Args:
-        folder: a new or empty folder. It may also be a new one below a run folder.
-        config: the configuration.
-        seeds: one for each member of the population.
-        execution: where and how the run is computed.
-        demonstrations: where a reward is to be learned. `worker.work` loads them again if
-            `demonstrations.load` has made them, and must be given them otherwise.
-        frozen_reward: where `config.reward` is `frozen`.
-        pretrained_policy: where `config.pretrained` says what of it the actor begins with.
-        guide: a policy that acts at the start of episodes, where there are `start_steps`.
-        sources: the files that `frozen_reward`, `pretrained_policy` and `guide` were loaded from,
-            for the record.
-        members: which members of these files they are, if not all.
-        experiment: the experiment's name, for the record.
-        scale: its scale, for the record.
-        checkpoint_every: steps and updates, together, between checkpoints.
-
-    Returns:
-        The disk space that the run needs, such as `12 MB`.
-
-    Raises:
-        FileExistsError: the folder holds something already. Nothing is overwritten.
-        ValueError: something that `config` needs is missing, or does not fit the task.
-        OSError: the disk has no room for the run.
+    The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
+    `given` is what the run has of other runs, as `inputs.load` returns it.
     """
-    folder = Path(folder)
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise FileExistsError(
             f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
             "for a new one choose another --out, or remove it"
         )
-    given = {"frozen_reward": frozen_reward, "pretrained_policy": pretrained_policy, "guide": guide}
-    given = {name: thing for name, thing in given.items() if thing is not None}
-    _require_fit(config, seeds, demonstrations, given, execution)
-    part = {} if members is None else {"members": [*members]}
-    inherited = {
-        name: {"files": [*map(str, (sources or {}).get(name, ()))], **part, "digest": digest}
-        for name, digest in ((name, inputs.digest_of(thing)) for name, thing in given.items())
-    }
-    spec = RunSpec(
-        config,
-        tuple(map(operator.index, seeds)),
-        asdict(execution),
-        inputs.describe(demonstrations),
-        checkpoint_every,
-        experiment,
-        scale,
-        inherited,
-    )
-    there, space = folder.resolve(), checkpoints.disk_space(spec)
-    checkpoints.require_room(there, space, config)
-    _write(there, spec, given)
-    return in_words(space)
-
-
-def _write(folder: Path, spec: RunSpec, given: Mapping[str, inputs.Weights]) -> None:
-    """Write the folder of a new run aside, and put it in its place."""
+    folder = folder.resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as hidden:
         made = Path(hidden) / "run"
-        (made / SUBFOLDER).mkdir(parents=True)
-        (made / "curve.csv").write_text(HEADER)
+        (made / "checkpoint").mkdir(parents=True)
+        (made / "curve.csv").write_text(records.HEADER)
         begun = {"state": "waiting", "step": 0, "wall_s": 0.0, "diverged": {}}
         write_json(made / "run.json", {**begun, **origin(Execution(**spec.execution))})
         for name, thing in given.items():
@@ -138,139 +61,225 @@ def _write(folder: Path, spec: RunSpec, given: Mapping[str, inputs.Weights]) -> 
                 shutil.move(path, folder)
 
 
-def _require_fit(
-    config: Config,
-    seeds: Sequence[int],
-    demonstrations: Demonstrations | None,
-    given: Mapping[str, Any],
-    execution: Execution,
+def work(
+    folder: str | PathLike, *, demonstrations: Demonstrations | None = None, progress: bool = True
 ) -> None:
-    """Make a trainer, which refuses what does not fit before anything is written."""
-    if config.reward != "gan-gcl":  # It compares the size of its replay, a small one, with others.
-        config = config.change(replay_size=config.schedule.update_every or 1)
-    Trainer(config, seeds, demonstrations, **given, execution=execution).close()
+    """Train a run folder from where it is to its end. A run that has ended is left as it is.
 
-
-def verify(
-    folder: str | PathLike, evaluations: int = 1, progress: bool = True
-) -> list[tuple[Row | None, Row | None]]:
-    """Train the beginning of a recorded run again, in memory, and set it beside the record.
-
-    Args:
-        folder: of the record. Its checkpoints are not needed. Of several run folders the first is
-            verified.
-        evaluations: how many evaluations to do again, from the first one on.
-        progress: whether to show a bar.
-
-    Returns:
-        Pairs of a recorded row and the same row as it comes out now. None stands for a member that
-        had diverged, there or here.
-
-    Raises:
-        FileNotFoundError: there is no such record, or what it was given of another run is gone.
-        ValueError: the demonstrations, or what it was given of another run, have changed, or the
-            record has fewer evaluations.
+    Members that diverge are given up: run.json says why, and the others go on. Demonstrations are
+    loaded if they are not given. ValueError says that the run is not what it began as, or that a
+    file is damaged; OSError that another process is at work on it, or that the disk is full.
     """
-    folder = run_folders(folder)[0]
+    folder = Path(folder)
     spec = RunSpec.read(folder)
-    rows = [row for row in read(folder).rows if row.seed in spec.seeds]
-    steps = sorted({row.step for row in rows})
-    if not 1 <= evaluations <= len(steps):
-        raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
-    last, again = steps[evaluations - 1], []
-    demonstrations = inputs.demonstrations_of(folder, spec)
-    given = {**inputs.recorded(folder, spec), "execution": Execution(**spec.execution)}
-    with (
-        closing(Trainer(spec.config, spec.seeds, demonstrations, **given)) as trainer,
-        tqdm(total=last, unit="step", disable=not progress) as bar,
-        suppress(FloatingPointError),  # Every member diverges.
-    ):
-        for found in trainer.run():
-            again += found
-            bar.update(trainer.trained - bar.n)
-            if found and trainer.steps >= last:
-                break
-    there = {(row.seed, row.step): row for row in rows if row.step <= last}
-    here = {(row.seed, row.step): row for row in again}
-    return [(there.get(key), here.get(key)) for key in there | here]
+    if is_finished(folder):
+        return
+    demonstrations = inputs.demonstrations_of(folder, spec, demonstrations)
+    given, found = inputs.recorded(folder, spec), checkpoints.load(folder, spec)
+    try:
+        with checkpoints.lock(folder):
+            if found is None:
+                (folder / checkpoints.REPLAY).unlink(missing_ok=True)
+                (folder / "curve.csv").write_text(records.HEADER)
+            trainer = Trainer(
+                spec.config,
+                spec.seeds,
+                demonstrations,
+                **given,
+                execution=Execution(**spec.execution),
+                replay_file=folder / checkpoints.REPLAY,
+                memory=checkpoints.most_steps_between(spec),
+            )
+            with closing(trainer):
+                worker = _Worker(folder, spec, trainer)
+                if found is not None:
+                    worker.restore(found)
+                worker.work(progress)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise OSError(
+            f"the disk of {folder} is full: free some of it, and `offairl resume {folder}` goes on "
+            "from the last checkpoint"
+        ) from error
 
 
-def extend(folder: str | PathLike, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
-    """Set a run another number of steps, or add seeds to it. `worker.work` then trains what is new.
+def is_finished(folder: Path) -> bool:
+    """Return whether a run folder is at its end. Where every member has diverged, it is."""
+    return read_json(folder / "run.json")["state"] in (FINISHED, DIVERGED)
+
+
+class _Worker:
+    """One process's work on a run folder: trains, and keeps what comes of it on the way."""
+
+    def __init__(self, folder: Path, spec: RunSpec, trainer: Trainer) -> None:
+        self.folder, self.spec, self.trainer = folder, spec, trainer
+        # The step of the last checkpoint, and the steps and updates before it.
+        self.step, self.saved, self.start = 0, 0, time.monotonic()
+
+    def restore(self, found: tuple[dict[str, Any], dict[str, Any]]) -> None:
+        """Go back to a checkpoint; note versions or a machine that are not those of before."""
+        checkpoints.restore(self.folder, self.trainer, found)
+        self.start -= found[1]["wall_s"]
+        self.step, self.saved = self.trainer.steps, self.done
+        now, about = origin(self.trainer.execution), read_json(self.folder / "run.json")
+        past = about.get("continued", [])
+        if news := records.changed([about, *past][-1], now):
+            if news.keys() != {"commit"}:
+                said = "; ".join(
+                    f"{key}: {here}, before {was}" for key, (was, here) in news.items()
+                )
+                log.warning("%s goes on from step %d with other %s", self.folder, self.step, said)
+            about["continued"] = [*past, {"step": self.step, **now}]
+            write_json(self.folder / "run.json", about)
+
+    def work(self, progress: bool) -> None:
+        """Go on to the end."""
+        try:
+            self.note("running")
+            try:
+                complete(self.trainer, progress, self.keep)
+                state = FINISHED
+            except FloatingPointError:
+                state = DIVERGED
+            # Whoever diverges before the warm-up is over has no policy yet.
+            for result in (self.trainer.policy, self.trainer.reward):
+                if result is not None:
+                    records.write_whole(self.folder / records.file_name(type(result)), result.save)
+            if state == FINISHED:
+                self.checkpoint()
+            self.note(state)  # Last: without this word the end may not have been written.
+        except BaseException as error:
+            with suppress(OSError):
+                self.note(f"stopped: {error!r}")
+            raise
+
+    def keep(self, rows: list[Row]) -> None:
+        """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
+        if rows:
+            with open(self.folder / "curve.csv", "a") as file:
+                file.write(records.lines(rows))
+            self.note("running")
+        if self.done - self.saved >= self.spec.checkpoint_every:
+            self.checkpoint()
+
+    @property
+    def done(self) -> int:
+        """Steps and updates, together."""
+        return self.trainer.steps + self.trainer.trained
+
+    def checkpoint(self) -> None:
+        """Keep all that it takes to go on from here."""
+        checkpoints.save(self.folder, self.spec, self.trainer, time.monotonic() - self.start)
+        self.step, self.saved = self.trainer.steps, self.done
+        self.note("running")
+
+    def note(self, state: str) -> None:
+        """Write to run.json how things are."""
+        about = read_json(self.folder / "run.json")
+        about |= {"state": state, "step": self.step, "diverged": self.trainer.members.diverged}
+        about["wall_s"] = round(time.monotonic() - self.start, 1)
+        write_json(self.folder / "run.json", about)
+
+
+def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
+    """Set a run another number of steps, or add seeds to it. `work` then trains what is new.
 
     More steps are for all run folders of the run. New seeds get a run folder of their own, inside
-    `folder`, where `read` finds it; nothing is moved.
-
-    Args:
-        folder: the run's folder.
-        steps: environment steps of each seed, in all.
-        seeds: the seeds to add.
-
-    Raises:
-        ValueError: the run has gone further already; a seed is there already, or the run builds
-            upon members of another.
-        OSError: a process is at work on the run, or the disk has no room.
+    `folder`, where `read` finds it; nothing is moved. ValueError says that the run has gone further
+    already, that a seed is there already, or that the run builds upon members of another; OSError
+    that a process is at work on the run, or that the disk has no room.
     """
-    if steps is None and not seeds:
-        raise ValueError(f"to extend {folder} give it steps, or seeds of new members")
-    folder = Path(folder)
+    before = {path: RunSpec.read(path) for path in run_folders(folder)}
+    changes = {} if steps is None else {"total_steps": steps}
+    specs = {p: replace(spec, config=spec.config.change(**changes)) for p, spec in before.items()}
     with ExitStack() as locks:
-        specs = {path: RunSpec.read(path) for path in run_folders(folder)}
-        for path in specs:
-            checkpoints.load(path, specs[path])  # It refuses what is damaged.
+        for path, spec in specs.items():
+            checkpoints.load(path, spec)  # It refuses what is damaged, or has gone further.
             locks.enter_context(checkpoints.lock(path))
+        new = []
         if seeds:
             _require_new(folder, specs, seeds)
-        longer = specs
-        if steps is not None:
-            for path, spec in specs.items():
-                if steps < (reached := checkpoints.reached(path, spec)):
-                    raise ValueError(f"{path} has reached step {reached}; it cannot end at {steps}")
-            longer = {
-                path: replace(spec, config=spec.config.change(total_steps=steps))
-                for path, spec in specs.items()
-            }
-        missing = sum(checkpoints.missing_space(path, spec) for path, spec in longer.items())
-        one = next(iter(longer.values()))
-        if seeds:
-            missing += checkpoints.disk_space(replace(one, seeds=tuple(seeds)))
-        checkpoints.require_room(folder, missing, one.config)
-        if seeds:
-            _add_seeds(folder, next(iter(specs)), one, seeds)
-        for path, spec in longer.items():
+            new = [replace(next(iter(specs.values())), seeds=tuple(seeds))]
+        replays = [path / checkpoints.REPLAY for path in specs]
+        there = sum(replay.stat().st_size for replay in replays if replay.is_file())
+        space = sum(map(checkpoints.disk_space, [*specs.values(), *new]))
+        checkpoints.require_room(folder, space - there)
+        for spec in new:
+            create(folder / records.seeds_name(seeds), spec, {})
+        for path, spec in specs.items():
             about = read_json(path / "run.json")
-            ended = about["state"] == "finished" and spec != specs[path]
-            for name in ("policy", "reward"):
-                if ended:
-                    (path / f"{name}.safetensors").unlink(missing_ok=True)
-            spec.write(path)
-            if ended:
+            if about["state"] == FINISHED and spec != before[path]:
                 write_json(path / "run.json", about | {"state": "waiting"})
+                for kind in (Policy, Reward):
+                    (path / records.file_name(kind)).unlink(missing_ok=True)
+            spec.write(path)
 
 
 def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[int]) -> None:
     """Raise ValueError unless a run can have further members of these seeds."""
-    read(folder)  # It refuses several configurations.
-    for path, spec in specs.items():
-        if inherited := inputs.recorded(path, spec):
-            raise ValueError(
-                f"{path} has of another run the {' and the '.join(inherited).replace('_', ' ')}, "
-                f"of {len(spec.seeds)} members and none for further seeds: start a run of its own"
-            )
+    there = records.read(folder).seeds  # It refuses several configurations.
+    if names := inputs.needed(next(iter(specs.values())).config):
+        raise ValueError(
+            f"{folder} has of another run the {' and the '.join(names).replace('_', ' ')}, of "
+            f"{len(there)} members and none for further seeds: start a run of its own"
+        )
     Rng(seeds)  # It refuses what cannot be a seed.
-    there = [seed for spec in specs.values() for seed in spec.seeds]
     if len({*there, *seeds}) < len(there) + len(seeds):
-        raise ValueError(f"seeds {list(seeds)} are not all new: there are {there}")
+        raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(there)}")
 
 
-def _add_seeds(folder: Path, sibling: Path, spec: RunSpec, seeds: Sequence[int]) -> None:
-    create(
-        folder / seeds_name(seeds),
-        spec.config,
-        seeds,
-        execution=Execution(**spec.execution),
-        demonstrations=inputs.demonstrations_of(sibling, spec),
-        experiment=spec.experiment,
-        scale=spec.scale,
-        checkpoint_every=spec.checkpoint_every,
-    )
+def verify(
+    folder: str | PathLike, evaluations: int = 1, progress: bool = True
+) -> dict[tuple[int, int], tuple[Row | None, Row | None]]:
+    """Train the beginning of a recorded run again, in memory, and set it beside the record.
+
+    Its checkpoints are not needed. Of several run folders the first is verified.
+
+    Returns:
+        By seed and step the recorded row, and the row as it comes out now, from the first of so
+        many `evaluations` on. None stands for a member that had diverged, there or here.
+    """
+    folder = run_folders(folder)[0]
+    spec = RunSpec.read(folder)
+    rows = [row for row in records.read(folder).rows if row.seed in spec.seeds]
+    steps = sorted({row.step for row in rows})
+    if not 1 <= evaluations <= len(steps):
+        raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
+    last = steps[evaluations - 1]
+    here: dict[tuple[int, int], Row] = {}
+
+    def keep(again: list[Row]) -> None:
+        here.update({(row.seed, row.step): row for row in again})
+        if again[0].step >= last:
+            raise StopIteration
+
+    with suppress(FloatingPointError):  # Every member diverges.
+        train(
+            spec.config,
+            spec.seeds,
+            inputs.demonstrations_of(folder, spec),
+            **inputs.recorded(folder, spec),
+            execution=Execution(**spec.execution),
+            progress=progress,
+            on_evaluation=keep,
+        )
+    there = {(row.seed, row.step): row for row in rows if row.step <= last}
+    return {key: (there.get(key), here.get(key)) for key in there | here}
+
+
+def main() -> None:
+    """Train the run folder that the command line names: `python -m offairl_lite.runs.folders`."""
+    # A shell has its background jobs, and theirs, ignore what ends this process.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with jobs.terminable():
+            work(Path(sys.argv[1]), progress=False)
+    except (ValueError, OSError, ImportError) as error:
+        sys.exit(f"offairl: {error}")
+    except KeyboardInterrupt:
+        sys.exit("offairl: stopped")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,15 +1,11 @@
 """Configurations from texts: the points of a grid, and the options of the command line."""
 
-import ast
-import inspect
 import itertools
-import re
-import textwrap
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypedDict, Union, get_args, get_origin
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Annotated, Any, TypedDict, get_type_hints
 
+from docstring_parser import parse_from_object
 from tyro.conf import OmitArgPrefixes, arg
 
 from offairl_lite.config import (
@@ -20,7 +16,9 @@ from offairl_lite.config import (
     flat_settings,
     used_settings,
 )
-from offairl_lite.config.settings import kinds, settings, wanted
+from offairl_lite.config.settings import checked, kinds
+from offairl_lite.experiments import Experiment
+from offairl_lite.scale import Scale
 
 HELP = {
     "reward": "What the learner maximises: a variant of the paper's reward, DAC's, GAIL's of "
@@ -35,21 +33,23 @@ HELP = {
 def options(config: Config) -> dict[str, Any]:
     """Return types from which tyro makes options of all settings: one for each group.
 
-    They are TypedDicts, which hold only the settings that are given.
-
-    Args:
-        config: whose settings are shown as the defaults.
+    They are TypedDicts, which hold only the settings that are given; `config` has the defaults that
+    are shown.
     """
-    flat, texts = config.flat(), docstrings()
+    flat, texts, known = config.flat(), docstrings(), flat_settings()
+    # Types without their ranges, which the configuration knows.
+    annotations = {name: hint for name, (hint, _, _) in known.items()}
+    plain = get_type_hints(type("Plain", (), {"__annotations__": annotations}))
     fields: dict[str, dict[str, Any]] = {"schedule": {}, "learner": {}, "discriminator": {}}
-    for name, (hint, default, group) in flat_settings().items():
+    for name, (_, default, group) in known.items():
         value = flat.get(name, default)
         shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
         note = f"(default: {shown})" if name in flat else f"(default, where it has a use: {shown})"
         about = arg(help=texts[name], help_behavior_hint=note)
-        fields[group][name] = Annotated[_plain(hint), about]
+        fields[group][name] = Annotated[plain[name], about]
+    typed_dict: Any = TypedDict
     return {
-        group: Annotated[TypedDict(group, own, total=False), OmitArgPrefixes]
+        group: Annotated[typed_dict(group, own, total=False), OmitArgPrefixes]
         for group, own in fields.items()
     }
 
@@ -59,179 +59,95 @@ def docstrings() -> dict[str, str]:
     texts = dict(HELP)
     for base in (Schedule, LearnerConfig, DiscriminatorConfig):
         for kind in kinds(base).values():
-            for parent in kind.__mro__:
-                for name, text in _docstrings_of(parent):
-                    if name in settings(kind):
-                        texts.setdefault(kind.renamed.get(name, name), text)
-    return texts
+            own = [parent for parent in kind.__mro__ if parent.__module__ != "builtins"]
+            for field in (field for parent in own for field in parse_from_object(parent).params):
+                name = kind.renamed.get(field.arg_name, field.arg_name)
+                texts.setdefault(name, " ".join((field.description or "").split()))
+    return {name: texts[name] for name in flat_settings()}
 
 
-def _docstrings_of(group: type) -> Iterable[tuple[str, str]]:
-    """Yield the fields of a class with the docstrings below them, which only its source has."""
-    if group.__module__.startswith("offairl_lite."):
-        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(group))).body
-        for field, below in itertools.pairwise(tree.body):
-            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
-                yield field.target.id, " ".join(below.value.value.split())
+def points(
+    experiment: Experiment,
+    scale: Scale,
+    chosen: Mapping[str, Any],
+    axes: Sequence[str] = (),
+    only: Sequence[str] = (),
+) -> dict[str, Config]:
+    """Return the configurations of an experiment's own runs, or of some, times a grid.
 
-
-def _plain(hint: Any) -> Any:
-    """Return a type without ranges, and with one literal in the place of several."""
-    origin, args = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _plain(args[0])
-    if origin in (Union, UnionType):
-        if all(get_origin(arg) is Literal for arg in args):
-            return Literal[tuple(choice for arg in args for choice in get_args(arg))]
-        return Union[tuple(map(_plain, args))]  # noqa: UP007
-    return tuple[tuple(map(_plain, args))] if origin is tuple else hint
-
-
-def point(run: str, base: Config, changes: Mapping[str, Any], given: Mapping[str, Any]) -> Config:
-    """Return the configuration of one run of an experiment, with what was given for all its runs.
-
-    Of what was given, settings for which this run has no use are left out.
-
-    Args:
-        run: its name.
-        base: the configuration of the experiment.
-        changes: what the run has otherwise.
-        given: what was given for all runs.
-
-    Raises:
-        ValueError: the run itself sets to something else what was given.
+    Settings that are `chosen` for all runs are left out of those that have no use for them.
+    ValueError says that a run sets something else itself, or that no run has a use for a setting.
     """
-    if lost := [name for name in changes.keys() & given.keys() if changes[name] != given[name]]:
-        raise ValueError(
-            f"{run} sets {' and '.join(sorted(lost))} itself: vary that with --grid, which comes "
-            "last, or choose other runs with --only"
-        )
-    asked, flat = {**changes, **given}, base.flat()
-    chosen = (asked.get(name, flat.get(name)) for name in ("learner", "reward", "ablation"))
-    used = used_settings(*chosen)
-    return base.change(**{name: value for name, value in asked.items() if name in used})
+    base, variants = experiment.configs[scale], experiment.variants or {"": {}}
+    if unknown := set(only) - set(variants):
+        there = ", ".join(variants) or "none, since the experiment is one run"
+        raise ValueError(f"no runs {sorted(unknown)}; there are: {there}")
+    found = {}
+    for variant in only or variants:
+        changes = variants[variant]
+        lost = sorted(n for n in changes.keys() & chosen.keys() if changes[n] != chosen[n])
+        if lost:
+            raise ValueError(
+                f"{variant} sets {' and '.join(lost)} itself: vary that with --grid, which comes "
+                "last, or choose other runs with --only"
+            )
+        asked = {**changes, **chosen}
+        after = {**base.flat(), **asked}
+        used = used_settings(after["learner"], after["reward"], after.get("ablation"))
+        config = base.change(**{name: value for name, value in asked.items() if name in used})
+        for name, point in grid(config, axes).items():
+            found[",".join(filter(None, (variant, name)))] = point
+    for name, value in chosen.items():
+        if not any(name in point.flat() for point in found.values()):
+            next(iter(found.values())).change(**{name: value})  # It says why that has no use.
+    return found
 
 
-def require_use(points: Iterable[Config], given: Mapping[str, Any]) -> None:
-    """Refuse what was given and is of no use in any of these configurations.
-
-    Raises:
-        ValueError: there is such a setting.
-    """
-    first, *others = points
-    for name, value in given.items():
-        if not any(name in config.flat() for config in (first, *others)):
-            first.change(**{name: value})  # It says why.
-
-
-def written(given: Mapping[str, Any], names: Iterable[str]) -> str:
-    """Return options as they are written on the command line."""
-    words = []
-    for name in names:
-        option, value = name.replace("_", "-"), given[name]
-        if isinstance(value, bool):
-            words.append(f"--{option}" if value else f"--no-{option}")
-        else:
-            values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{option}", *map(str, values)]
-    return " ".join(words)
-
-
-@contextmanager
-def options_named(given: Mapping[str, Any]) -> Iterator[None]:
-    """Name the options that an error in the settings is about.
-
-    Raises:
-        ValueError: a setting makes no sense.
-    """
-    try:
-        yield
-    except ValueError as error:
-        found = [name for name in given if re.search(rf"\b{name}\b", str(error))]
-        raise ValueError(f"{written(given, found)}: {error}" if found else str(error)) from error
-
-
-def grid(config: Config, **values: Iterable[Any]) -> dict[str, Config]:
+def grid(config: Config, axes: Sequence[str]) -> dict[str, Config]:
     """Return the configurations of a grid, by names such as `reward=dac,temperature=0.1`.
 
-    Args:
-        config: what all have in common.
-        values: for each setting to vary, its values or their texts: `none`, `true`, `false`; the
-            numbers of a tuple are separated by `x`, as in `hidden=400x300`.
-
-    Raises:
-        ValueError: there is no such setting, or it cannot have such a value, or a value is given
-            twice.
+    Each of `axes` has a setting and its values, such as `temperature=0.1,none`; the numbers of a
+    tuple are separated by `x`, as in `hidden=400x300`. Without any the only name is empty.
     """
-    known = flat_settings()
-    for name in values.keys() - known.keys():
-        raise ValueError(f"no setting {name!r} to vary; there are: {', '.join(known)}")
-    axes = [
-        [(name, parse(name, text(v), known[name][0])) for v in some]
-        for name, some in values.items()
-    ]
-    points: dict[str, Config] = {}
-    for point in itertools.product(*axes):
-        name = ",".join(f"{field}={text(value)}" for field, value in point).replace("/", "-")
-        if name in points:
-            raise ValueError(f"{name} is in the grid twice: give every value once")
-        try:
-            points[name] = config.change(**dict(point))
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
-    if not points or not values:
-        raise ValueError("the grid is empty: give a setting and at least one value")
-    return points
-
-
-def axes(given: Iterable[str]) -> dict[str, list[str]]:
-    """Return the settings and texts of options such as `temperature=0.1,none`.
-
-    Raises:
-        ValueError: an option has another form, or a setting is given twice.
-    """
-    values: dict[str, list[str]] = {}
-    for axis in given:
+    known, values = flat_settings(), {}
+    for axis in axes:
         name, equals, texts = axis.partition("=")
         name = name.replace("-", "_")
         if not equals or name in values:
             raise ValueError(f"--grid {axis}: expected SETTING=VALUE,VALUE, and each setting once")
-        values[name] = texts.split(",")
-    return values
+        if name not in known:
+            raise ValueError(f"no setting {name!r} to vary; there are: {', '.join(known)}")
+        values[name] = [(name, _value(name, text, known[name][0])) for text in texts.split(",")]
+    found: dict[str, Config] = {}
+    for point in itertools.product(*values.values()):
+        title = ",".join(f"{name}={_text(value)}" for name, value in point).replace("/", "-")
+        if title in found:
+            raise ValueError(f"{title} is in the grid twice: give every value once")
+        try:
+            found[title] = config.change(**dict(point))
+        except ValueError as error:
+            raise ValueError(f"{title}: {error}" if title else str(error)) from error
+    return found
 
 
-def text(value: Any) -> str:
+def _text(value: Any) -> str:
     """Return a value as it is written in a grid and in the names of folders."""
-    if isinstance(value, tuple | list):
-        return "x".join(map(text, value))
+    if isinstance(value, tuple):
+        return "x".join(map(_text, value))
     return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
-def parse(name: str, written: str, hint: Any) -> Any:
-    """Return the value that a text stands for in a setting of some type.
-
-    Raises:
-        ValueError: the text is not of this type.
-    """
-    try:
-        return _parsed(written, hint)
-    except (KeyError, ValueError):
-        raise ValueError(f"{name} is {written!r}; expected {wanted(hint)}") from None
+def _value(name: str, text: str, hint: Any) -> Any:
+    """Return the value that a text stands for: the first of its readings that the setting takes."""
+    for reading in (text, _literal(text), tuple(map(_literal, text.split("x")))):
+        with suppress(ValueError):
+            return checked(name, reading, hint)
+    return checked(name, _literal(text), hint)  # It says what is expected.
 
 
-def _parsed(written: str, hint: Any) -> Any:
-    """Return a value of some type; whether it is in range, the configuration knows."""
-    origin, args = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _parsed(written, args[0])
-    if origin in (Union, UnionType):
-        return None if written == "none" and NoneType in args else _parsed(written, args[0])
-    if origin is tuple:
-        parts = written.split("x")
-        kinds_of_parts = args[:1] * len(parts) if args[-1] is ... else args
-        if len(parts) != len(kinds_of_parts):
-            raise ValueError
-        return tuple(map(_parsed, parts, kinds_of_parts))
-    if hint is bool:
-        return {"true": True, "false": False}[written.lower()]
-    return hint(written) if hint in (int, float) else written
+def _literal(text: str) -> Any:
+    """Return the None, the truth value or the number that a text is, or the text."""
+    for reading in ({"none": None, "true": True, "false": False}.__getitem__, int, float):
+        with suppress(KeyError, ValueError):
+            return reading(text)
+    return text

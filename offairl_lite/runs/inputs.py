@@ -7,6 +7,7 @@ loaded from. What a run goes on with must be what it began with, which digests t
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,7 @@ from offairl_lite.config import Config
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs import records
-from offairl_lite.runs.records import RunSpec
-
-Weights = Reward | Policy
+from offairl_lite.runs.records import RunSpec, file_name, join, read
 
 CURES = {
     "frozen_reward": "--reward frozen",
@@ -30,120 +28,77 @@ CURES = {
 """What a run may be given of other runs, and the option that makes use of it."""
 
 
-def needed(config: Config) -> dict[str, type[Weights]]:
-    """Return what a configuration needs of other runs, and of which kind it is."""
+def needed(config: Config) -> dict[str, Any]:
+    """Return what a configuration needs of other runs: for each name `Reward` or `Policy`."""
     uses = {
-        "frozen_reward": (config.reward == "frozen", Reward),
-        "pretrained_policy": (config.pretrained != "nothing", Policy),
-        "guide": (config.schedule.start_steps > 0, Policy),
+        "frozen_reward": config.reward == "frozen",
+        "pretrained_policy": config.pretrained != "nothing",
+        "guide": config.schedule.start_steps > 0,
     }
-    return {name: kind for name, (is_needed, kind) in uses.items() if is_needed}
+    return {name: Reward if name == "frozen_reward" else Policy for name in uses if uses[name]}
 
 
-def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[str, Weights]:
-    """Load what a configuration needs of other runs, for `folders.create`.
+def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[str, Any]:
+    """Return the rewards and policies of other runs that a configuration needs, by their names.
 
-    The members of several files become one population, in the order of the files.
-
-    Args:
-        config: the configuration of the new run.
-        seeds: its seeds. Where guides are fewer, they take turns.
-        **files: for `frozen_reward` files of rewards, for `pretrained_policy` and `guide` files of
-            policies; or folders of runs, which stand for the files in them.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a file is needed and not given, or holds something else, or another number of
-            members than there are seeds.
+    Several `files`, or folders of runs, become one population; guides take turns if they are fewer
+    than the seeds. ValueError says that a file is needed and not given, or holds something else.
     """
-    found: dict[str, Weights] = {}
+    found = {}
     for name, kind in needed(config).items():
         if not files.get(name):
-            own = f"{kind.__name__.lower()}.safetensors"
             raise ValueError(
                 f"a {name.replace('_', ' ')} of another run is needed: give "
-                f"--{name.replace('_', '-')} RUN/{own}, or RUN"
+                f"--{name.replace('_', '-')} RUN/{file_name(kind)}, or RUN"
             )
-        found[name] = records.join([load_one(path, kind) for path in files[name]])
-    if "guide" in found:
-        found["guide"] = _in_turn(found["guide"], range(len(seeds)))
-    for name, thing in found.items():
-        if len(thing) != len(seeds):
-            raise ValueError(
-                f"the {name.replace('_', ' ')} has {len(thing)} members for {len(seeds)} seeds: "
-                f"give as many seeds, for instance --seeds {' '.join(map(str, range(len(thing))))}"
-            )
+        found[name] = join([load_one(path, kind) for path in files[name]])
+        if name == "guide":
+            found[name] = _in_turn(found[name], range(len(seeds)))
     return found
 
 
-def load_one(path: Path, kind: type[Weights]) -> Weights:
-    """Return the policies, or the rewards, of a file or of a run.
-
-    Raises:
-        FileNotFoundError: there is no such file, or the run has not ended.
-        ValueError: the file holds something else.
-    """
-    own = f"{kind.__name__.lower()}.safetensors"
-    if not path.is_dir():
-        return kind.load(path)
-    if not any(path.rglob("config.json")):
-        if not (path / own).is_file():
-            raise FileNotFoundError(f"{path} is not a run's folder: it has no config.json")
-        return kind.load(path / own)
-    run = records.read(path)
+def load_one(path: str | PathLike, kind: Any) -> Any:
+    """Return the policies, or the rewards, of a file or of a run that has ended."""
+    path = Path(path)
+    if not (path.is_dir() and any(path.rglob("config.json"))):
+        return kind.load(path / file_name(kind) if path.is_dir() else path)
+    run = read(path)
     found = run.policy if kind is Policy else run.reward
     if found is None:
         raise FileNotFoundError(
-            f"{path} has no {own}, which is written at the end of a run: `offairl resume {path}` "
-            "goes on to it (not every record keeps its own)"
+            f"{path} has no {file_name(kind)}, which is written at the end of a run: `offairl "
+            f"resume {path}` goes on to it (not every record keeps its own)"
         )
     return found
 
 
-def _in_turn(guides: Policy, members: Iterable[int]) -> Policy:
-    return guides.member(*(member % len(guides) for member in members))
+def _in_turn(thing: Any, members: Iterable[int]) -> Any:
+    return thing.member(*(member % len(thing) for member in members))
 
 
-def require_use(configs: Iterable[Config], **files: Sequence[Path]) -> None:
-    """Refuse files of other runs that no configuration makes use of.
-
-    Args:
-        configs: the configurations of new runs.
-        **files: as for `load`.
-
-    Raises:
-        ValueError: there are such files.
-    """
-    used = {name for config in configs for name in needed(config)}
-    for name, given in files.items():
-        if given and name not in used:
-            raise ValueError(
-                f"--{name.replace('_', '-')} {' '.join(map(str, given))} would not be used: add "
-                f"{CURES[name]}, or leave it out"
-            )
+def inherited(
+    things: Mapping[str, Any], files: Mapping[str, Sequence[Path]], members: Sequence[int] | None
+) -> dict[str, dict[str, Any]]:
+    """Return what `config.json` says of things from other runs: all of the files', or `members`."""
+    part = {} if members is None else {"members": [*members]}
+    return {
+        name: {"files": [*map(str, files.get(name, ()))], **part, "digest": digest_of(thing)}
+        for name, thing in things.items()
+    }
 
 
-def recorded(folder: Path, spec: RunSpec) -> dict[str, Weights]:
-    """Return what a run was given of other runs.
+def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
+    """Return what a run was given of other runs, or raise ValueError if it is something else now.
 
     A record may lack the copies. They are then made again from the files that the run names.
-
-    Raises:
-        FileNotFoundError: it is in neither place.
-        ValueError: it is not what the run began with.
     """
     found = {}
     for name, kind in needed(spec.config).items():
         copy, about = folder / f"{name}.safetensors", spec.inherited.get(name, {})
-        if about.get("files") and not copy.is_file():
-            where, members = about["files"], about.get("members")
-            thing = records.join([load_one(Path(file), kind) for file in where])
-            if name == "guide":
-                thing = _in_turn(thing, members or range(len(spec.seeds)))
-            elif members:
-                thing = thing.member(*members)
-        else:
-            where, thing = [copy], kind.load(copy)
+        where = [copy] if copy.is_file() else about.get("files") or [copy]
+        thing = join([load_one(file, kind) for file in where])
+        if where != [copy]:
+            thing = _in_turn(thing, about.get("members") or range(len(spec.seeds)))
         if about and digest_of(thing) != about["digest"]:
             raise ValueError(
                 f"{' and '.join(map(str, where))} is not the {name.replace('_', ' ')} that "
@@ -154,14 +109,11 @@ def recorded(folder: Path, spec: RunSpec) -> dict[str, Weights]:
 
 
 def describe(demonstrations: Demonstrations | None) -> dict[str, Any] | None:
-    """Return what `config.json` says of demonstrations."""
+    """Return what `config.json` says of demonstrations: how many, from where, and their digest."""
     if demonstrations is None:
         return None
-    return {
-        "trajectories": len(demonstrations),
-        **(demonstrations.source or {}),
-        "digest": digest(demonstrations.transitions._asdict()),
-    }
+    source = {"trajectories": len(demonstrations), **(demonstrations.source or {})}
+    return {**source, "digest": digest(demonstrations.transitions._asdict())}
 
 
 def demonstrations_of(
@@ -169,32 +121,24 @@ def demonstrations_of(
 ) -> Demonstrations | None:
     """Return the demonstrations that a run began with, loaded if they are not given.
 
-    Raises:
-        ValueError: they have changed since, or there is nothing to load them from.
+    ValueError says that they have changed since, or that there is nothing to load them from.
     """
-    shown = spec.demonstrations
-    if shown is None:
+    if (shown := spec.demonstrations) is None:
         return None
-    whose = "from elsewhere"
-    if "dataset" in shown:
-        whose = f"of {shown['dataset'] or 'the shipped experts'}"
-    elif given is None:
-        raise ValueError(
-            f"{folder} began with demonstrations that `demonstrations.load` did not make: give the "
-            "same to `worker.work` again"
-        )
     if given is None:
-        given = data.load(
-            spec.config.env_id,
-            shown["trajectories"],
-            shown["dataset"],
-            shown.get("subsample", 1),  # Older runs do not say,
-            shown.get("experts"),  # nor this.
-        )
+        if "dataset" not in shown:
+            raise ValueError(
+                f"{folder} began with demonstrations that `demonstrations.load` did not make: give "
+                "the same to `folders.work` again"
+            )
+        # Older runs do not say how they were thinned, nor of how many experts they are.
+        rest = shown["dataset"], shown.get("subsample", 1), shown.get("experts")
+        given = data.load(spec.config.env_id, shown["trajectories"], *rest)
     if digest(given.transitions._asdict()) != shown["digest"]:
+        whose = shown.get("dataset", "elsewhere") or "the shipped experts"
         raise ValueError(
-            f"{len(given)} trajectories {whose} are not those that {folder} began with: bring them "
-            "back, or start a new run"
+            f"{len(given)} trajectories from {whose} are not those that {folder} began with: bring "
+            "them back, or start a new run"
         )
     return given
 
@@ -205,10 +149,10 @@ def digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -
     for name, tensor in sorted(tensors.items()):
         array = tensor.detach().cpu().contiguous().numpy()
         sha.update(f"{name} {array.dtype} {array.shape}".encode())
-        sha.update(array)
+        sha.update(array.data)
     return sha.hexdigest()
 
 
-def digest_of(thing: Weights) -> str:
+def digest_of(thing: Policy | Reward) -> str:
     """Return the SHA-256 of parameters and normaliser."""
     return digest({"params": thing.params, **thing.normaliser._asdict()})

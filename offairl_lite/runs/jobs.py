@@ -16,16 +16,15 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal
 
 from tqdm.auto import tqdm
 
 Engine = Literal["processes", "ray"]
-Command = Callable[[Path], list[str]]
 Attempt = Callable[[Path, threading.Event], str]
 """Runs a job, or ends it when the event is set. It returns nothing, or what went wrong."""
 
@@ -37,25 +36,14 @@ TAIL = 20
 """Lines of the log that are shown of a job that failed."""
 
 
-class Failure(NamedTuple):
-    """A job that failed twice: its run folder, how its process ended, the end of its log."""
-
-    folder: Path
-    reason: str
-    tail: str
-
-    def __str__(self) -> str:
-        return f"{self.folder}: {self.reason}\n{log_of(self.folder)}:\n{self.tail}"
-
-
 def log_of(folder: Path) -> Path:
     """Return the file with the output of a job's processes."""
     return folder / "checkpoint" / "log.txt"
 
 
-def resume(folder: Path) -> list[str]:
+def command(folder: Path) -> list[str]:
     """Return the command that trains a run folder to its end."""
-    return [sys.executable, "-m", "offairl_lite.runs.worker", str(folder)]
+    return [sys.executable, "-m", "offairl_lite.runs.folders", str(folder)]
 
 
 def cores() -> int:
@@ -68,73 +56,51 @@ def execute(
     folders: Sequence[Path],
     engine: Engine = "processes",
     workers: int | None = None,
-    progress: bool = True,
     *,
     address: str | None = None,
     gpus: float = 0.0,
-    command: Command = resume,
-) -> list[Failure]:
+) -> list[str]:
     """Train run folders to their ends, one process for each, and try once more what fails.
 
-    Args:
-        folders: the run folders.
-        engine: processes of this machine, or of a Ray cluster.
-        workers: how many at a time; by default one on each core.
-        progress: whether to show a bar over the steps of all jobs.
-        address: the address of the Ray cluster, `auto` on one of its nodes; None for a cluster on
-            this machine that is started and ended here.
-        gpus: how much of a GPU a job takes on a Ray cluster.
-        command: what a job runs.
-
-    Returns:
-        The jobs that failed twice.
-
-    Raises:
-        ValueError: the engine is not there, or a node does not see a run folder.
-        KeyboardInterrupt: interrupted or terminated, as are the jobs, which can be gone on with.
+    On a Ray cluster, at an `address` or started here, each job takes so many `gpus`. A
+    KeyboardInterrupt, or SIGTERM, ends the jobs, which can be gone on with. Returned is of each job
+    that failed twice its folder, how its process ended, and the end of its log.
     """
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine is {engine!r}; expected one of {get_args(Engine)}")
-    if workers is not None and workers < 1:
-        raise ValueError(f"processes is {workers}; expected at least 1")
     if engine == "processes" and address is not None:
         raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")
-    stop, failures, shown = threading.Event(), [], []
+    stop, shown = threading.Event(), (0, "")
+    failures: list[str] = []
 
     def job(attempt: Attempt, folder: Path) -> None:
-        for again in (False, True):
-            if not (reason := attempt(folder, stop)) or stop.is_set():
-                return
-            if not again:
-                bar.write(f"{folder}: {reason}; it is tried once more", file=sys.stderr)
-        failures.append(Failure(folder, reason, _tail(folder)))
+        if (reason := attempt(folder, stop)) and not stop.is_set():
+            bar.write(f"{folder}: {reason}; it is tried once more", file=sys.stderr)
+            reason = attempt(folder, stop)
+        if reason and not stop.is_set():
+            log = log_of(folder)
+            lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+            failures.append("\n".join([f"{folder}: {reason}", f"{log}:", *lines[-TAIL:]]))
 
-    def show(done: int) -> None:
-        counts = f"{done - len(failures)} done, {len(failures)} failed"
-        steps = sum(map(_step, folders))
-        # A clock that ticks is welcome on a terminal, and fills a log file.
-        if sys.stderr.isatty() or [steps, counts] != shown:
-            bar.set_postfix_str(counts, refresh=False)
-            bar.n, shown[:] = steps, [steps, counts]
-            bar.refresh()
-
-    there = _on_this_machine(command) if engine == "processes" else _on_ray(command, address, gpus)
+    specs = [_from(folder / "config.json") for folder in folders]
+    total = sum(spec["config"]["total_steps"] for spec in specs if spec)
     most = workers or (cores() if engine == "processes" else len(folders))
-    total = sum(map(_steps, folders))
     with (
-        tqdm(total=total, unit="step", disable=not progress) as bar,
-        there as attempt,
+        tqdm(total=total, unit="step") as bar,
+        nullcontext(_here) if engine == "processes" else _on_ray(address, gpus) as attempt,
         terminable(),  # Ray has a handler of its own.
         ThreadPoolExecutor(min(most, len(folders))) as pool,
     ):
-        futures = [pool.submit(job, attempt, folder) for folder in folders]
+        waiting = {pool.submit(job, attempt, folder) for folder in folders}
         try:
-            waiting = set(futures)
             while waiting:
                 ended, waiting = wait(waiting, POLL_S)
                 for future in ended:
                     future.result()
-                show(len(folders) - len(waiting))
+                done = len(folders) - len(waiting) - len(failures)
+                now = sum(map(_step, folders)), f"{done} done, {len(failures)} failed"
+                # A clock that ticks is welcome on a terminal, and fills a log file.
+                if sys.stderr.isatty() or now != shown:
+                    bar.n, shown = now[0], now
+                    bar.set_postfix_str(now[1])
         except BaseException:
             stop.set()
             pool.shutdown(cancel_futures=True)
@@ -145,12 +111,9 @@ def execute(
 @contextmanager
 def terminable() -> Iterator[None]:
     """Have SIGTERM, by which schedulers end a job, do what Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
-    def interrupt(number: int, _: object) -> None:
-        raise KeyboardInterrupt(signal.Signals(number).name)
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt("SIGTERM")
 
     before = signal.signal(signal.SIGTERM, interrupt)
     try:
@@ -159,10 +122,9 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextmanager
-def _on_this_machine(command: Command) -> Iterator[Attempt]:
-    """Run jobs as children of this process."""
-    yield lambda folder, stop: _child(folder, command(folder), stop)
+def _here(folder: Path, stop: threading.Event) -> str:
+    """Run a job as a child of this process."""
+    return _child(folder, command(folder), stop)
 
 
 def _child(folder: Path, command: list[str], stop: threading.Event) -> str:
@@ -201,29 +163,25 @@ def _child(folder: Path, command: list[str], stop: threading.Event) -> str:
 
 
 @contextmanager
-def _on_ray(command: Command, address: str | None, gpus: float) -> Iterator[Attempt]:
-    """Run jobs as children of Ray's workers; each is a task that takes a core.
-
-    Raises:
-        ValueError: Ray is not installed, or there is no GPU where one is needed.
-    """
+def _on_ray(address: str | None, gpus: float) -> Iterator[Attempt]:
+    """Run jobs as children of Ray's workers; each is a task that takes a core."""
     try:
         import ray
     except ImportError:
         raise ValueError("Ray is not installed: pip install -e '.[ray]', in a clone") from None
     owned = not ray.is_initialized()
     if owned:
+        own: dict[str, Any] = {}
         if address is None:
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-        here = {"include_dashboard": False} if address is None else {}
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **here)
+            own["include_dashboard"] = False
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     # A task is repeated by Ray where its node dies. How a job fails is answered in `execute`.
     task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=1)(_task)
-    here = version("offairl-lite")
 
     def attempt(folder: Path, stop: threading.Event) -> str:
         folder = folder.absolute()
-        found = task.remote(folder, command(folder), here)
+        found = task.remote(folder, command(folder), version("offairl-lite"))
         while not ray.wait([found], timeout=min(POLL_S, 0.2))[0]:
             if stop.is_set():
                 ray.cancel(found)
@@ -256,21 +214,9 @@ def _task(folder: Path, command: list[str], expected: str) -> str:
 
 def _step(folder: Path) -> int:
     """Return the step of a run's last checkpoint."""
-    try:
-        return json.loads((folder / "run.json").read_bytes()).get("step", 0)
-    except FileNotFoundError:  # Another node may see it.
-        return 0
+    return _from(folder / "run.json").get("step", 0)
 
 
-def _steps(folder: Path) -> int:
-    """Return the steps that a run is to have in all."""
-    try:
-        return json.loads((folder / "config.json").read_bytes())["config"]["total_steps"]
-    except FileNotFoundError:
-        return 0
-
-
-def _tail(folder: Path) -> str:
-    log = log_of(folder)
-    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
-    return "\n".join(lines[-TAIL:])
+def _from(path: Path) -> dict[str, Any]:
+    """Return what a JSON file holds; nothing where it cannot be seen, while another node may."""
+    return json.loads(path.read_bytes()) if path.exists() else {}

@@ -5,124 +5,103 @@ over processes.
 """
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations
 from offairl_lite.config import Config, differences
 from offairl_lite.core.acceleration import fitting, is_large
-from offairl_lite.core.loop import Run
+from offairl_lite.core.loop import Trainer
+from offairl_lite.core.results import Run
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.experiments import EXPERIMENTS, Experiment, find
-from offairl_lite.runs import checkpoints, folders, inputs, jobs, records, worker
-from offairl_lite.runs.grid import axes, grid, options, options_named, point, require_use
+from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.runs import checkpoints, folders, inputs, jobs, records
+from offairl_lite.runs.grid import options, points
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
+
+CHECKPOINT_EVERY = 2_000
+"""Steps and updates, together, between checkpoints."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """What new runs are given beside their configuration."""
+    """What new runs are given beside their configuration.
+
+    Args:
+        dataset: A Minari data set to imitate; by default the shipped experts'.
+        trajectories: How many of its episodes to use.
+        subsample: Use every so many-th transition of each.
+        experts: How many of the shipped experts show the task, from the first on. None: all.
+        frozen_reward: An earlier run, or its reward.safetensors, where the reward is frozen.
+            Several become one population.
+        pretrained_policy: An earlier run, or its policy.safetensors, where `pretrained` is not
+            nothing.
+        guide: Policies that act at the start of episodes, where there are `start_steps`.
+        device: Where networks live.
+        threads: Threads of PyTorch and of the physics in each process. Small networks need one.
+        compile: Whether updates are compiled; auto: long runs of large networks.
+    """
 
     dataset: str | None = None
-    """A Minari data set to imitate; by default the shipped experts'."""
-
     trajectories: int = 50
-    """How many of its episodes to use."""
-
     subsample: int = 1
-    """Use every so many-th transition of each."""
-
     experts: int | None = None
-    """How many of the shipped experts show the task, from the first on. None: all."""
-
     frozen_reward: tuple[Path, ...] = ()
-    """An earlier run, or its reward.safetensors, where the reward is frozen. Several become one
-    population."""
-
     pretrained_policy: tuple[Path, ...] = ()
-    """An earlier run, or its policy.safetensors, where `pretrained` is not nothing."""
-
     guide: tuple[Path, ...] = ()
-    """Policies that act at the start of episodes, where there are `start_steps`."""
-
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where networks live."""
-
     threads: int = 1
-    """Threads of PyTorch and of the physics in each process. Small networks need one."""
-
     compile: Literal["auto", "yes", "no"] = "auto"
-    """Whether updates are compiled; auto: long runs of large networks."""
 
     @property
     def files(self) -> dict[str, tuple[Path, ...]]:
-        """Return the files of other runs, by the names that `inputs.load` has for them."""
+        """The files of other runs, by the names that `inputs.load` has for them."""
         return {name: getattr(self, name) for name in inputs.CURES}
 
-    def require_use(self, configs: Sequence[Config], experts: int | None) -> None:
-        """Refuse what no configuration makes use of.
-
-        Args:
-            configs: the configurations of the new runs.
-            experts: the default of `experts`.
-
-        Raises:
-            ValueError: something would not be used.
-        """
-        inputs.require_use(configs, **self.files)
-        why = None
+    def require_use(self, configs: Iterable[Config], default: "Given") -> None:
+        """Raise ValueError where no configuration makes use of what is not the default."""
+        needed = {name for config in configs for name in inputs.needed(config)}
+        cures = inputs.CURES.items()
+        unused = {name: f": add {cure}, or" for name, cure in cures if name not in needed}
         if not any(config.learns_reward for config in configs):
-            names, why = ("dataset", "trajectories", "subsample"), "no reward is learned"
+            shown = ("dataset", "trajectories", "subsample", "experts")
+            unused |= dict.fromkeys(shown, ", since no reward is learned:")
         elif self.dataset is not None:
-            names, why = (), f"{self.dataset} is by none of the shipped ones"
-        if why is None:
-            return
-        wanted = {name: getattr(Given, name) for name in names} | {"experts": experts}
-        for name, default in wanted.items():
-            if (value := getattr(self, name)) != default:
-                raise ValueError(f"--{name} {value} would not be used, since {why}: leave it out")
-
-    def recorded(self) -> dict[str, Any]:
-        """Return what a run folder must say of demonstrations and of files of other runs."""
-        experts = None if self.dataset else self.experts
-        files = {name: [*map(str, paths)] for name, paths in self.files.items()}
-        about = {name: getattr(self, name) for name in ("dataset", "trajectories", "subsample")}
-        return {**about, "experts": experts, **files}
+            unused["experts"] = f", since {self.dataset} is by none of the shipped ones:"
+        for name, why in unused.items():
+            if (value := getattr(self, name)) != getattr(default, name):
+                value = " ".join(map(str, value)) if isinstance(value, tuple) else value
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(f"{option} {value} would not be used{why} leave it out")
 
 
-def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> Any:
-    """Return `offairl run`, with the defaults of one experiment at one scale.
-
-    Args:
-        name: the experiment's name.
-        size: the scale.
-        command: what a job runs.
-    """
-    experiment, defaults = find(name), (name, size)
-    settings = options(experiment.configs[size])
+def run_command(name: str, size: Scale) -> Callable[..., None]:
+    """Return `offairl run`, with the defaults of one experiment at one scale."""
+    own, defaults = find(name), (name, size)
+    default = Given(experts=own.experts[size])
 
     def run(
-        experiment: Positional[Literal[tuple(EXPERIMENTS)]] = name,
+        experiment: str = name,
         *,
         scale: Scale = size,
         grid: Annotated[tuple[str, ...], UseAppendAction] = (),
         only: tuple[str, ...] = (),
-        seeds: tuple[int, ...] = experiment.seeds[size],
+        seeds: tuple[int, ...] = own.seeds[size],
         out: Path | None = None,
         prepare: bool = False,
         processes: int | None = None,
         engine: jobs.Engine = "processes",
         address: str | None = None,
-        given: Annotated[Given, OmitArgPrefixes] = Given(experts=experiment.experts[size]),
-        schedule: settings["schedule"] = {},  # noqa: B006
-        learner: settings["learner"] = {},  # noqa: B006
-        discriminator: settings["discriminator"] = {},  # noqa: B006
+        given: Annotated[Given, OmitArgPrefixes] = default,
+        schedule: Any,
+        learner: Any,
+        discriminator: Any,
     ) -> None:
         """Run an experiment, in one configuration or in many, and record it; or go on with it.
 
@@ -152,158 +131,97 @@ def run_command(name: str, size: Scale, command: jobs.Command = jobs.resume) -> 
                 f"{experiment} at {scale} scale was asked for, and the defaults are those of "
                 f"{name} at {size} scale: name the experiment before all options"
             )
-        if processes is not None and processes < 1:
-            raise ValueError(f"processes is {processes}; expected at least 1")
-        if len(set(seeds)) < len(seeds):
-            raise ValueError(f"seeds are {seeds}: two members with one seed are the same")
-        chosen = {**schedule, **learner, **discriminator}
-        points = _points(find(experiment), scale, chosen, grid, only)
-        place = out or Path("runs") / f"{'sweep-' if grid else ''}{experiment}-{scale}"
-        source = find(experiment).reward_from
-        frozen = any(point.reward == "frozen" for point in points.values())
-        if source and not given.frozen_reward and frozen:
+        _require_processes(processes)
+        configs = points(own, scale, {**schedule, **learner, **discriminator}, grid, only)
+        frozen = any(config.reward == "frozen" for config in configs.values())
+        if frozen and own.reward_from and not given.frozen_reward:
             raise ValueError(
-                f"{experiment} is paid by the reward of another run: first `offairl run {source}`, "
-                f"then add --frozen-reward runs/{source}-{scale}"
+                f"{name} is paid by the reward of another run: first `offairl run "
+                f"{own.reward_from}`, then add --frozen-reward runs/{own.reward_from}-{scale}"
             )
-        here = 1 if prepare or engine == "ray" else jobs.cores()
-        folders = _folders_of_each(points, processes, here if given.device == "cpu" else None)
-        about = {"experiment": experiment, "scale": scale}
-        data = _create(place, points, seeds, folders, given, about)
+        given.require_use(configs.values(), default)
+        place = out or Path("runs") / f"{'sweep-' if grid else ''}{name}-{scale}"
+        idle = 1 if prepare or engine == "ray" else jobs.cores()
+        each = (processes or idle) // len(configs) if given.device == "cpu" else 1
+        alone = processes is not None and len(configs) == 1
+        spread = {n: each if alone or is_large(c.learner) else 1 for n, c in configs.items()}
+        data = _create(place, configs, seeds, given, spread, name, scale)
         if not prepare:
             how = {"engine": engine, "workers": processes, "address": address}
-            gpus = float(given.device != "cpu")
-            _finish(place, points, data, **how, gpus=gpus, command=command)
+            _finish(place, configs, data, **how, gpus=float(given.device != "cpu"))
 
+    run.__annotations__ |= {
+        "experiment": Positional[Literal[tuple(EXPERIMENTS)]],  # type: ignore
+        **options(own.configs[size]),
+    }
     return run
 
 
-def _folders_of_each(
-    points: Mapping[str, Config], processes: int | None, cores: int | None
-) -> dict[str, int]:
-    """Return over how many run folders the seeds of each run are spread.
-
-    Cores that runs leave idle train seeds of large networks, or as many as are asked for. None for
-    `cores`: a GPU, which has all seeds in one population.
-    """
-    each = 1 if cores is None else (processes or cores) // len(points)
-    alone = processes is not None and len(points) == 1
-    return {n: each if alone or is_large(point.learner) else 1 for n, point in points.items()}
-
-
-def _points(
-    experiment: Experiment,
-    scale: Scale,
-    chosen: Mapping[str, Any],
-    given: Sequence[str],
-    only: Sequence[str],
-) -> dict[str, Config]:
-    """Return the configurations of an experiment's own runs, or some of them, times a grid.
-
-    Raises:
-        ValueError: there is no such run, the grid is no grid, a run itself sets something else than
-            was chosen, or no run has a use for it.
-    """
-    variants = experiment.variants or {"": {}}
-    if unknown := set(only) - set(variants):
-        there = ", ".join(variants) or "none, since the experiment is one run"
-        raise ValueError(f"no runs {sorted(unknown)}; there are: {there}")
-    values, base, points = axes(given), experiment.configs[scale], {}
-    for variant, changes in variants.items():
-        if only and variant not in only:
-            continue
-        with options_named(chosen):
-            own = point(variant, base, changes, chosen)
-        some = grid(own, **values) if values else {"": own}
-        points |= {",".join(filter(None, (variant, name))): p for name, p in some.items()}
-    with options_named(chosen):
-        require_use(points.values(), chosen)
-    return points
+def _require_processes(processes: int | None) -> None:
+    if processes is not None and processes < 1:
+        raise ValueError(f"processes is {processes}; expected at least 1")
 
 
 def _create(
     place: Path,
-    points: Mapping[str, Config],
+    configs: Mapping[str, Config],
     seeds: Sequence[int],
-    spread: Mapping[str, int],
     given: Given,
-    about: Mapping[str, str],
+    spread: Mapping[str, int],
+    experiment: str,
+    scale: Scale,
 ) -> dict[str, Demonstrations]:
-    """Make the run folders that are not there yet; return the demonstrations that are loaded.
-
-    Args:
-        place: the folder of all.
-        points: the configurations, by the names of their subfolders.
-        seeds: of each.
-        spread: over how many run folders the seeds of each are spread.
-        given: what the runs are given beside their configuration.
-        about: the experiment and its scale, for the record.
-    """
-    todo = {name: _missing_seeds(place / name, points[name], seeds, given) for name in points}
-    given.require_use([*points.values()], find(about["experiment"]).experts[about["scale"]])
-    data, fresh = {}, {}
-    for name, missing in todo.items():
-        if missing:
-            fresh[name] = missing, inputs.load(points[name], seeds, **given.files)
-    for name in fresh:
-        env_id = points[name].env_id
-        if points[name].learns_reward and env_id not in data:
-            data[env_id] = demonstrations.load(
-                env_id, given.trajectories, given.dataset, given.subsample, given.experts
-            )
-    every = folders.CHECKPOINT_EVERY
-    specs = [RunSpec(points[name], seeds, {}, None, every) for name, (seeds, _) in fresh.items()]
-    if specs:
-        checkpoints.require_room(place, sum(map(checkpoints.disk_space, specs)), specs[0].config)
-    for name, (missing, inherited) in fresh.items():
-        config, parts = points[name], max(min(spread[name], len(missing)), 1)
-        size, more = divmod(len(missing), parts)
-        begins = [i * size + min(i, more) for i in range(parts + 1)]
-        for begin, end in pairwise(begins):
-            some = missing[begin:end]
-            folder, members, own = place / name, None, inherited
+    """Make the run folders that are not there yet; return the demonstrations, by task."""
+    missing = {n: _missing_seeds(place / n, configs[n], seeds, given) for n in configs}
+    data: dict[str, Demonstrations] = {}
+    todo = []
+    for name, config in configs.items():
+        if not missing[name]:
+            continue
+        things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
+        if config.learns_reward:
+            asked = given.trajectories, given.dataset, given.subsample, given.experts
+            shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
+        execution = fitting(config, given.device, given.threads, given.compile)
+        # A trainer refuses what does not fit, before anything is written. A small replay will do,
+        # but for GAN-GCL, which compares the replay's size with others.
+        small = {"replay_size": config.schedule.update_every or 1}
+        tried = config if config.reward == "gan-gcl" else config.change(**small)
+        Trainer(tried, seeds, shown, **things, execution=execution).close()
+        parts = max(min(spread[name], len(missing[name])), 1)
+        for part in np.array_split(missing[name], parts):
+            some, folder, own, members = tuple(part.tolist()), place / name, things, None
             if len(some) < len(seeds):
                 folder, members = folder / seeds_name(some), [seeds.index(seed) for seed in some]
-                own = {name: thing.member(*members) for name, thing in inherited.items()}
-            execution = fitting(config, given.device, given.threads, given.compile)
-            space = folders.create(
-                folder,
-                config,
-                some,
-                execution=execution,
-                demonstrations=data.get(config.env_id) if config.learns_reward else None,
-                **own,
-                sources=given.files,
-                members=members,
-                **about,
-            )
-            updates = "compiled" if execution.compile else "not compiled"
-            print(f"{folder} takes up to {space} of disk, mostly replay; updates: {updates}")
+                own = {name: thing.member(*members) for name, thing in things.items()}
+            inherited = inputs.inherited(own, given.files, members)
+            how = asdict(execution), inputs.describe(shown), CHECKPOINT_EVERY
+            todo.append((folder, RunSpec(config, some, *how, experiment, scale, inherited), own))
+    checkpoints.require_room(place, sum(checkpoints.disk_space(spec) for _, spec, _ in todo))
+    for folder, spec, own in todo:
+        folders.create(folder, spec, own)
+        space = checkpoints.in_words(checkpoints.disk_space(spec))
+        updates = "compiled" if spec.execution["compile"] else "not compiled"
+        print(f"{folder} takes up to {space} of disk, mostly replay; updates: {updates}")
     return data
 
 
 def _missing_seeds(
     folder: Path, config: Config, seeds: Sequence[int], given: Given
 ) -> tuple[int, ...]:
-    """Return the seeds that a run does not have yet. What it has must be of the same kind.
-
-    Raises:
-        ValueError: it is of another configuration, or other seeds, or something else was given.
-    """
-    if not any(folder.rglob("config.json")):
-        return tuple(seeds)
+    """Return the seeds that a run does not have yet; raise ValueError if it is of another kind."""
     there: list[int] = []
-    for path in run_folders(folder):
+    now = vars(given) | {name: [*map(str, paths)] for name, paths in given.files.items()}
+    now["experts"] = None if given.dataset else given.experts
+    for path in run_folders(folder) if any(folder.rglob("config.json")) else []:
         spec = RunSpec.read(path)
         files = {name: about["files"] for name, about in spec.inherited.items() if about["files"]}
-        known = {**(spec.demonstrations or {}), **files}
-        found = {
-            name: (known[name], now) for name, now in given.recorded().items() if name in known
-        }
+        was = {**(spec.demonstrations or {}), **files}
+        found = {name: (was[name], now[name]) for name in now if name in was}
         found |= differences(spec.config, config)
         if not set(spec.seeds) <= set(seeds):
             found["seeds"] = spec.seeds, tuple(seeds)
-        said = [f"{name} {was!r}, not {now!r}" for name, (was, now) in found.items() if was != now]
+        said = [f"{name} {old!r}, not {new!r}" for name, (old, new) in found.items() if old != new]
         if said:
             raise ValueError(
                 f"{path} is a run with {', '.join(said)}: give the same, or choose another --out"
@@ -331,39 +249,31 @@ def resume(
         processes: how many at a time where there are several run folders; by default one on each
             core.
     """
-    if processes is not None and processes < 1:
-        raise ValueError(f"processes is {processes}; expected at least 1")
+    _require_processes(processes)
     if steps is not None or seeds:
         folders.extend(folder, steps, seeds)
-    points = {}
-    for path in run_folders(folder):
-        own = path.parent if path.name.startswith("seeds-") and path != folder else path
-        points[own.relative_to(folder).as_posix()] = RunSpec.read(path).config
-    _finish(folder, points, {}, workers=processes)
+    paths = run_folders(folder)
+    runs = [p.parent if p.name.startswith("seeds-") and p != folder else p for p in paths]
+    names = dict.fromkeys(run.relative_to(folder).as_posix() for run in runs)
+    _finish(folder, names, {}, workers=processes)
 
 
 def _finish(
-    place: Path, points: Mapping[str, Config], data: Mapping[str, Demonstrations], **how: Any
+    place: Path, names: Iterable[str], data: Mapping[str, Demonstrations], **how: Any
 ) -> None:
-    """Train run folders to their ends, one of them in this process, and show what came of it.
-
-    Args:
-        place: the folder of all.
-        points: the configurations, by the names of their subfolders.
-        data: demonstrations that are loaded already, by task.
-        **how: as for `jobs.execute`.
-    """
-    todo = [path for name in points for path in run_folders(place / name)]
-    left, failures = [path for path in todo if not worker.is_finished(path)], []
+    """Train run folders to their ends, one of them in this process, and show what came of it."""
+    todo = [path for name in names for path in run_folders(place / name)]
+    left = [path for path in todo if not folders.is_finished(path)]
+    failures = []
     try:
         if len(left) == 1 and how.get("engine", "processes") == "processes":
-            worker.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
+            folders.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
         elif left:
             failures = jobs.execute(left, **how)
     except KeyboardInterrupt:
         sys.exit(f"offairl: stopped; `offairl resume {place}` goes on")
-    runs = {name: records.read(place / name) for name in points}
-    print(_table_of_seeds(*runs.values()) if len(runs) == 1 else _table(runs))
+    runs = {name: records.read(place / name) for name in names}
+    print(_table(runs))
     print(f"recorded in {place}")
     for env_id, shown in data.items():
         print(f"demonstrations of {env_id}: {shown.returns.mean():.2f}")
@@ -379,21 +289,19 @@ def _finish(
         raise FloatingPointError("; ".join(lost) + again)
 
 
-def _table_of_seeds(run: Run) -> str:
-    """Return the last evaluation of each seed."""
-    last = {row.seed: row for row in run.rows}.values()
-    rows = [f"{row.seed:5} {row.step:9,} {row.mean_return:10.2f}" for row in last]
-    return "\n".join(["", f"{'seed':>5} {'step':>9} {'return':>10}", *rows])
-
-
 def _table(runs: Mapping[str, Run]) -> str:
-    """Return the last evaluation of each run: mean, least and greatest return over seeds."""
+    """Return the last evaluation of each seed of one run; of many, each run's mean and range."""
+    ends = {name: list({r.seed: r for r in run.rows}.values()) for name, run in runs.items()}
+    if len(runs) == 1:
+        (rows,) = ends.values()
+        lines = ["", f"{'seed':>5} {'step':>9} {'return':>10}"]
+        return "\n".join(lines + [f"{r.seed:5} {r.step:9,} {r.mean_return:10.2f}" for r in rows])
     lines = [f"{'step':>9} {'return':>10} {'least':>10} {'greatest':>10}"]
-    for name, run in runs.items():
-        last = {row.seed: row for row in run.rows}.values()
-        returns = [row.mean_return for row in last]
-        numbers = (sum(returns) / len(returns), min(returns), max(returns)) if returns else ()
+    for name, rows in ends.items():
+        returns = [row.mean_return for row in rows]
+        numbers = [sum(returns) / len(returns), min(returns), max(returns)] if returns else []
         shown = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
-        note = f" (diverged: {' '.join(map(str, run.diverged))})" if run.diverged else ""
-        lines.append(f"{min((row.step for row in last), default=0):9,} {shown}  {name}{note}")
+        lost = runs[name].diverged
+        note = f" (diverged: {' '.join(map(str, lost))})" if lost else ""
+        lines.append(f"{min((row.step for row in rows), default=0):9,} {shown}  {name}{note}")
     return "\n".join(lines)

@@ -3,11 +3,11 @@
 - `config.json`: what the run is (`RunSpec`);
 - `curve.csv`: one row for each seed and evaluation;
 - `run.json`: its state, the step of its last checkpoint, seeds that diverged, wall time, and what
-  produced it: versions, machine, start;
+  produced it (`origin`);
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
-- `checkpoint/`: what is needed to go on, and nowhere else (see `folders`).
+- `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
 The seeds of one run may be spread over several run folders, each trained by a process of its own:
 `NAME/seeds-0-1-2`, `NAME/seeds-3-4` and so on. `read(NAME)` joins them.
@@ -18,8 +18,13 @@ import hashlib
 import io
 import json
 import os
+import platform
+import subprocess
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -28,32 +33,27 @@ import torch
 
 from offairl_lite import ablations  # noqa: F401  (registers their settings and actors)
 from offairl_lite.config import Config, differences
-from offairl_lite.core.loop import Row, Run
+from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 
 FORMAT = 3
 """Of run folders and checkpoints; it changes when older ones can no longer be read."""
 
 METRICS = (
-    "cross_entropy",
-    "penalty",
-    "expert_logit",
-    "policy_logit",
-    "accuracy",
-    "critic_loss",
-    "q",
-    "temperature",
-    "entropy",
-    "excess",
-    "multiplier",
+    *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
+    *("temperature", "entropy", "excess", "multiplier"),
 )
 """Diagnostics of the last update before an evaluation. New ones are added at the end, so that older
 curves can still be read."""
 
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
+
+PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
+"""Whose versions a record tells."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +64,11 @@ class RunSpec:
         config: the configuration of every seed.
         seeds: of the population, in the order of all files.
         execution: the fields of `Execution`.
-        demonstrations: `trajectories` and `digest`; and `dataset` (None for the shipped experts'),
-            `subsample` and `experts` if `demonstrations.load` made them. None where no reward is
-            learned.
+        demonstrations: what `inputs.describe` says of them; None where no reward is learned.
         checkpoint_every: steps and updates, together, between checkpoints.
-        experiment: the experiment's name, if it has one.
-        scale: the scale of the experiment, if it has one.
-        inherited: what the run was given of other runs: `frozen_reward`, `pretrained_policy` and
-            `guide`, each with the `files` that it was loaded from, its `digest` and, where it is
-            a part of what the files hold, the `members`.
+        experiment, scale: what it is called, if it is one of the experiments.
+        inherited: what the run was given of other runs: for each name in `inputs.CURES` the `files`
+            that it was loaded from, its `digest` and, if it is a part of theirs, the `members`.
     """
 
     config: Config
@@ -91,12 +87,7 @@ class RunSpec:
 
     @classmethod
     def read(cls, folder: str | PathLike) -> Self:
-        """Read `config.json`.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is of another format, or damaged.
-        """
+        """Read `config.json`; raise ValueError if it is of another format, or damaged."""
         path = Path(folder) / "config.json"
         if not path.is_file():
             raise FileNotFoundError(
@@ -107,89 +98,67 @@ class RunSpec:
         content = read_json(path)
         require_format(path, content.pop("format", 1))
         try:
-            config = Config.of(**content["config"])
-            changed = {"config": config, "seeds": tuple(content["seeds"])}
-            return cls(**{**content, **changed})
+            config, seeds = Config.of(**content.pop("config")), tuple(content.pop("seeds"))
+            return cls(config, seeds, **content)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} does not describe a run: {error}") from error
 
 
 def run_folders(folder: str | PathLike) -> list[Path]:
-    """Return a run folder, if it is one, and the run folders below it, in the order of their seeds.
-
-    Raises:
-        FileNotFoundError: there are none.
-        ValueError: one is of another format, or damaged.
-    """
+    """Return a run folder, if it is one, and those below it, in the order of their seeds."""
     folder = Path(folder)
-    found = [path.parent for path in folder.rglob("config.json") if path.is_file()]
     # A name that begins with a dot is of a run that is being made.
-    found = [path for path in found if not any(p[0] == "." for p in path.relative_to(folder).parts)]
-    if not found:
+    seeds = {
+        path.parent: RunSpec.read(path.parent).seeds
+        for path in folder.rglob("config.json")
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    }
+    if not seeds:
         RunSpec.read(folder)  # It says what is missing.
-    return sorted(found, key=lambda path: (RunSpec.read(path).seeds, path))
+    return sorted(seeds, key=lambda path: (seeds[path], path))
 
 
 def read(folder: str | PathLike) -> Run:
     """Return a recorded run, finished or not.
 
-    The run may be spread over several run folders. Policies and rewards are None until all of them
-    have theirs.
-
-    Raises:
-        FileNotFoundError: there is no run; the message names the missing file.
-        ValueError: a configuration or curve is not of this version, or there are runs of several
-            configurations.
+    Policies and rewards are None until all run folders have theirs. FileNotFoundError names what is
+    missing, ValueError what is of another version, or of several configurations.
     """
-    parts = [(path, _read_one(path)) for path in run_folders(folder)]
-    (first, run), *others = parts
-    for path, part in others:
-        if changed := differences(run.config, part.config):
+    specs = {path: RunSpec.read(path) for path in run_folders(folder)}
+    first, spec = next(iter(specs.items()))
+    for path, other in specs.items():
+        if changed := differences(spec.config, other.config):
             raise ValueError(
                 f"{folder} holds runs of several configurations: {' and '.join(changed)} differ "
                 f"between {first} and {path}; read one of them"
             )
-    if not others:
-        return run
-    runs = [part for _, part in parts]
-    seeds = tuple(seed for part in runs for seed in part.seeds)
+    seeds = [seed for one in specs.values() for seed in one.seeds]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"{folder} holds several runs of the same seeds: read one of them")
-    rows = [row for part in runs for row in part.rows]
+    rows = [row for path in specs for row in _rows(path / "curve.csv")]
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
-    policies, rewards = [part.policy for part in runs], [part.reward for part in runs]
-    return Run(
-        run.config,
-        seeds,
-        rows,
-        None if None in policies else join(policies),
-        None if None in rewards else join(rewards),
-        {seed: why for part in runs for seed, why in part.diverged.items()},
-    )
-
-
-def _read_one(folder: Path) -> Run:
-    spec, path = RunSpec.read(folder), folder / "curve.csv"
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} is no record of a run: it has no curve.csv")
-    run = Run(spec.config, spec.seeds, _rows(path))
-    if (folder / "run.json").is_file():
-        diverged = read_json(folder / "run.json").get("diverged", {})
-        run.diverged = {int(seed): why for seed, why in diverged.items()}
-    if (folder / "policy.safetensors").is_file():
-        run.policy = Policy.load(folder / "policy.safetensors")
-    if (folder / "reward.safetensors").is_file():
-        run.reward = Reward.load(folder / "reward.safetensors")
+    run = Run(spec.config, tuple(seeds), rows, _results(Policy, specs), _results(Reward, specs))
+    for path in specs:
+        if (path / "run.json").is_file():
+            diverged = read_json(path / "run.json").get("diverged", {})
+            run.diverged |= {int(seed): why for seed, why in diverged.items()}
     return run
+
+
+def _results(kind: Any, folders: Iterable[Path]) -> Any:
+    """Return the policies, or the rewards, of all run folders; None until each has its own."""
+    files = [folder / file_name(kind) for folder in folders]
+    return join([kind.load(file) for file in files]) if all(map(Path.is_file, files)) else None
 
 
 def _rows(path: Path) -> list[Row]:
     """Return the rows of a curve, which its process may be writing at this moment."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path.parent} is no record of a run: it has no curve.csv")
     text = path.read_text("utf-8")
     whole = text[: text.rfind("\n") + 1] or HEADER  # Its first line, too, may be half written.
     reader = csv.DictReader(io.StringIO(whole))
-    known = len(COLUMNS) - len(METRICS)
-    names = tuple(reader.fieldnames or ())
+    names, known = tuple(reader.fieldnames or ()), len(COLUMNS) - len(METRICS)
     if len(names) < known or names != COLUMNS[: len(names)]:
         raise ValueError(f"{path} has columns {reader.fieldnames}; expected {list(COLUMNS)}")
     return [
@@ -209,20 +178,17 @@ def _rows(path: Path) -> list[Row]:
 def lines(rows: Iterable[Row]) -> str:
     """Return the lines of a curve's file for some rows."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS, restval="", extrasaction="ignore", lineterminator="\n")
     for row in rows:
-        fixed = {**row._asdict(), "returns": " ".join(map(repr, row.returns)), **row.metrics}
-        writer.writerow({name: fixed.get(name, "") for name in COLUMNS})
+        returns = " ".join(map(repr, row.returns))
+        writer.writerow({**row._asdict(), "returns": returns, **row.metrics})
     return text.getvalue()
 
 
-def join(parts: Sequence[Policy] | Sequence[Reward]) -> Any:
-    """Return one population of several policies, or of several rewards.
-
-    Raises:
-        ValueError: they are not of one task and architecture.
-    """
-    kinds = {replace(part, params=None, normaliser=None) for part in parts}
+def join(parts: Sequence[Any]) -> Any:
+    """Return one population of several policies, or of several rewards, if all are of one kind."""
+    weights = "params", "normaliser"
+    kinds = {tuple(x for name, x in vars(p).items() if name not in weights) for p in parts}
     if len(kinds) > 1:
         raise ValueError(f"members of one population must be of one kind, not {kinds}")
     pairs = zip(*(part.normaliser for part in parts), strict=True)
@@ -230,30 +196,28 @@ def join(parts: Sequence[Policy] | Sequence[Reward]) -> Any:
     return replace(parts[0], params=params, normaliser=Normaliser(*map(torch.cat, pairs)))
 
 
-def seeds_name(seeds: Sequence[int]) -> str:
-    """Return the name of a run folder that holds some of a run's seeds.
+def file_name(kind: Any) -> str:
+    """Return the name of the file in which a run folder has its policies, or its rewards."""
+    return f"{kind.__name__.lower()}.safetensors"
 
-    The name of many seeds has the first, the last and a digest, since file systems limit names.
-    """
+
+def seeds_name(seeds: Sequence[int]) -> str:
+    """Return the name of a run folder with some of a run's seeds; file systems limit its length."""
     name = "-".join(map(str, seeds))
     if len(name) > 100:
         name = f"{seeds[0]}-to-{seeds[-1]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     return f"seeds-{name}"
 
 
-def read_json(path: Path) -> dict:
-    """Read a JSON file.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file; raise ValueError if it is damaged."""
     try:
         return json.loads(path.read_bytes())
     except ValueError as error:
         raise ValueError(f"{path} is damaged: {error}") from error
 
 
-def write_json(path: Path, content: dict) -> None:
+def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write a JSON file, whole or not at all."""
     text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
     write_whole(path, lambda part: part.write_text(text, "utf-8"))
@@ -284,3 +248,47 @@ def require_format(path: Path, found: int) -> None:
             f"{path} has format {found}, and this version of the package reads format {FORMAT}: "
             "use the version that wrote it (run.json names it), or start a new run"
         )
+
+
+def origin(execution: Execution) -> dict[str, Any]:
+    """Return what produces a run, and when it was begun."""
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {name: version(name) for name in PACKAGES},
+        "machine": platform.machine(),
+        "processor": processor(),
+        "vectors": torch.backends.cpu.get_cpu_capability(),
+        "cores": os.cpu_count(),
+        "threads": execution.threads,
+        "commit": _commit(),
+    }
+
+
+def changed(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return what two origins have otherwise of all that may change a number: before and after.
+
+    What an older origin does not say is None.
+    """
+    keys = ("versions", "processor", "vectors", "commit")
+    return {key: (then.get(key), now[key]) for key in keys if then.get(key) != now[key]}
+
+
+def processor() -> str:
+    """Return the processor's name, which only Linux keeps in a file."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _commit() -> str | None:
+    """Return the commit of the package, if it runs from a checkout."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    with suppress(OSError):
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True)
+        return done.stdout.strip() or None
+    return None

@@ -16,18 +16,11 @@ from offairl_lite.demonstrations import BLOCK, expert, expert_file, fingerprint,
 def ship(policy: Policy, seeds: Sequence[int], count: int = 5) -> Path:
     """Make the `count` best members of a trained population the shipped experts of its task.
 
-    Members are ranked by the mean return of 20 episodes of their mode, and keep their order: put
-    experts that are shipped already first, so that results of the first expert alone can be
-    repeated. The weights are stored in half precision if that changes no expert's mean return over
-    ten episodes by more than 1 %.
-
-    Args:
-        policy: the population.
-        seeds: one per member.
-        count: number of members to keep, at most.
-
-    Returns:
-        The file of the experts; `write_reference` writes the JSON file beside it.
+    Members are ranked by the mean return of 20 episodes of their mode, which `seeds` draw, and keep
+    their order: put experts that are shipped already first, so that results of the first expert
+    alone can be repeated. The weights are stored in half precision if that changes no expert's mean
+    return over ten episodes by more than 1 %. Returned is the file of the experts;
+    `write_reference` writes the JSON file beside it.
     """
     ranking = rollout(policy, policy.env_id, seeds, 20).returns.mean(1)
     kept = policy.member(*np.sort(np.argsort(-ranking)[:count]).tolist())
@@ -35,8 +28,7 @@ def ship(policy: Policy, seeds: Sequence[int], count: int = 5) -> Path:
     before, after = _mode_returns(kept), _mode_returns(rounded)
     if (np.abs(after - before) <= 0.01 * np.abs(before)).all():
         kept = replace(kept, params=kept.params.half())
-    short_name = demonstrations.short_name(policy.env_id)
-    path = demonstrations.EXPERTS / f"{short_name}.safetensors"
+    path = demonstrations.EXPERTS / f"{demonstrations.short_name(policy.env_id)}.safetensors"
     kept.save(path)
     write_reference(policy.env_id)
     return path
@@ -49,12 +41,6 @@ def write_reference(env_id: str) -> Path:
     mean return of 50 demonstrations by the first expert, by the first two, and so on, as `experts`
     of `demonstrations.load` counts them; and the `demonstrations.fingerprint` of their first
     demonstrations, with which `demonstrations.load` notices that another machine makes others.
-
-    Returns:
-        The file, to be shipped with the experts.
-
-    Raises:
-        FileNotFoundError: no expert is shipped for the task.
     """
     path, policy = expert_file(env_id).with_suffix(".json"), expert(env_id)
     content = {

@@ -5,8 +5,9 @@ import time
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
-from offairl_lite.core.loop import Row
+from offairl_lite.core.results import Row
 from offairl_lite.runs import records
 
 POLL_S = 10.0
@@ -18,13 +19,10 @@ class TensorBoard:
 
     Every seed is a run of its own, so that TensorBoard draws them in one figure. Returns are under
     `return/`, diagnostics of the last update under `update/`. An evaluation that was written before
-    is left out.
+    is left out. ImportError says that TensorBoard is not installed.
 
     Args:
         folder: for the event files.
-
-    Raises:
-        ImportError: TensorBoard is not installed.
     """
 
     def __init__(self, folder: str | PathLike) -> None:
@@ -34,42 +32,32 @@ class TensorBoard:
             raise ImportError(
                 "TensorBoard is not installed: pip install -e '.[tensorboard]', in a clone"
             ) from error
-        self.folder, self._open, self._writers = Path(folder), SummaryWriter, {}
-        self._written: set[tuple[int, int]] = set()
+        self.folder, self.open = Path(folder), SummaryWriter
+        self.writers: dict[int, Any] = {}
+        self.written: set[tuple[int, int]] = set()
 
     def __call__(self, rows: Sequence[Row]) -> None:
         """Write the rows of an evaluation, or of many."""
         for row in rows:
-            if (row.seed, row.step) in self._written:
+            if (row.seed, row.step) in self.written:
                 continue
-            self._written.add((row.seed, row.step))
-            if row.seed not in self._writers:
-                self._writers[row.seed] = self._open(str(self.folder / f"seed-{row.seed}"))
+            self.written.add((row.seed, row.step))
+            if row.seed not in self.writers:
+                self.writers[row.seed] = self.open(str(self.folder / f"seed-{row.seed}"))
             scalars = {"return/true": row.mean_return, "return/learned": row.learned_return}
             scalars |= {f"update/{name}": value for name, value in row.metrics.items()}
             for name, value in scalars.items():
                 if not math.isnan(value):  # As is the learned return where no reward is learned.
-                    self._writers[row.seed].add_scalar(name, value, row.step)
-        for writer in self._writers.values():
+                    self.writers[row.seed].add_scalar(name, value, row.step)
+        for writer in self.writers.values():
             writer.flush()
 
 
 def export(run: Path, folder: Path, follow: bool = False) -> int:
-    """Write the evaluations of a recorded run for TensorBoard.
+    """Write the evaluations of a recorded run for TensorBoard, and return how many there were.
 
-    Args:
-        run: its folder.
-        folder: for the event files.
-        follow: whether to go on until the run has ended. One that was killed has not: it may be
-            resumed.
-
-    Returns:
-        How many evaluations there were.
-
-    Raises:
-        FileExistsError: the folder has event files already.
-        FileNotFoundError: there is no such run.
-        ImportError: TensorBoard is not installed.
+    With `follow` it goes on until the run has ended. One that was killed has not: it may be
+    resumed.
     """
     if any(folder.glob("seed-*/events.*")):
         raise FileExistsError(f"{folder} has event files already: choose a new folder, --out")

@@ -16,8 +16,7 @@ from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rng import Rng
 from offairl_lite.experiments import EXPERIMENTS, configure
 from offairl_lite.runs import inputs, records
-from offairl_lite.runs.provenance import PACKAGES
-from offairl_lite.runs.records import RunSpec, read_json, run_folders
+from offairl_lite.runs.records import PACKAGES, RunSpec, read_json, run_folders
 from paper_figures import FIGURES, record
 
 ROOT = Path(__file__).parents[2]

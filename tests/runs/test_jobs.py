@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from offairl_lite.runs import jobs
-from offairl_lite.runs.jobs import Failure, execute
+from offairl_lite.runs.jobs import execute
 
 STEPS = 40
 
@@ -57,8 +57,8 @@ note("finished")
 
 
 @pytest.fixture
-def prepare(tmp_path):
-    """Make run folders, and the command that works on them."""
+def prepare(tmp_path, monkeypatch):
+    """Make run folders, and have them worked on by the script."""
     script = tmp_path / "work.py"
     script.write_text(WORK)
 
@@ -72,7 +72,8 @@ def prepare(tmp_path):
         def command(folder):
             return [sys.executable, str(script), str(folder), troubles[folder.name]]
 
-        return [tmp_path / name for name in troubles], command
+        monkeypatch.setattr(jobs, "command", command)
+        return [tmp_path / name for name in troubles]
 
     return make
 
@@ -121,37 +122,33 @@ def wait_for(condition, seconds=60):
 
 
 def test_a_job_trains_one_run_folder():
-    assert jobs.resume(Path("one"))[1:] == ["-m", "offairl_lite.runs.worker", "one"]
+    assert jobs.command(Path("one"))[1:] == ["-m", "offairl_lite.runs.folders", "one"]
 
 
 def test_all_is_done(engine, prepare, capsys):
-    todo, command = prepare(one="", two="", three="")
-    assert execute(todo, engine, 2, command=command) == []
+    todo = prepare(one="", two="", three="")
+    assert execute(todo, engine, 2) == []
     err = capsys.readouterr().err
     assert "120/120" in err
     assert "3 done, 0 failed" in err
     assert all((folder / "attempts").read_text().split()[1] == "1" for folder in todo)
-    assert execute(todo[:1], engine, progress=False, command=command) == []
-    assert capsys.readouterr().err == ""
 
 
 def test_a_log_file_has_a_line_for_each_change_and_not_for_each_glance(
     prepare, capsys, monkeypatch
 ):
     monkeypatch.setattr(jobs, "POLL_S", 0.001)
-    todo, command = prepare(one="")
-    assert execute(todo, "processes", 1, command=command) == []
+    todo = prepare(one="")
+    assert execute(todo, "processes", 1) == []
     # The bar, one job running, four steps of its curve (each may draw twice), done, and closed.
     assert capsys.readouterr().err.count("\r") <= 12
 
 
 def test_a_failure_is_tried_once_more_then_reported(engine, prepare, capsys):
-    todo, command = prepare(fine="", hiccup="hiccup", broken="broken")
-    (failure,) = execute(todo, engine, 2, command=command)
-    assert isinstance(failure, Failure)
-    assert (failure.folder.name, failure.reason) == ("broken", "exit status 3")
-    assert failure.tail.splitlines()[-2:] == ["from step 20", "out of luck"]
-    assert str(jobs.log_of(failure.folder)) in str(failure)
+    todo = prepare(fine="", hiccup="hiccup", broken="broken")
+    (failure,) = execute(todo, engine, 2)
+    assert failure.startswith(f"{todo[2]}: exit status 3\n{jobs.log_of(todo[2])}:\n")
+    assert failure.endswith("from step 20\nout of luck")
     assert [len(attempts(folder)) for folder in todo] == [1, 2, 2]
     # From where it was.
     assert "from step 20" in jobs.log_of(todo[1]).read_text()
@@ -162,8 +159,8 @@ def test_a_failure_is_tried_once_more_then_reported(engine, prepare, capsys):
 
 
 def test_a_job_that_is_killed_is_gone_on_with(engine, prepare, capsys):
-    todo, command = prepare(killed="killed", fine="")
-    assert execute(todo, engine, 2, command=command) == []
+    todo = prepare(killed="killed", fine="")
+    assert execute(todo, engine, 2) == []
     assert "killed by SIGKILL (out of memory?)" in capsys.readouterr().err
     assert [len(attempts(folder)) for folder in todo] == [2, 1]
     assert curve(todo[0]) == curve(todo[1])
@@ -171,8 +168,8 @@ def test_a_job_that_is_killed_is_gone_on_with(engine, prepare, capsys):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_no_more_work_at_a_time_than_allowed(engine, workers, prepare):
-    todo, command = prepare(a="", b="", c="", d="")
-    assert execute(todo, engine, workers, progress=False, command=command) == []
+    todo = prepare(a="", b="", c="", d="")
+    assert execute(todo, engine, workers) == []
     events = []
     for folder in todo:
         start, end = (folder / "attempts").read_text().splitlines()
@@ -186,9 +183,9 @@ def test_no_more_work_at_a_time_than_allowed(engine, workers, prepare):
 
 def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "POLL_S", 0.02)
-    todo, command = prepare(processes="hiccup", ray="hiccup")
+    todo = prepare(processes="hiccup", ray="hiccup")
     for folder in todo:
-        assert execute([folder], folder.name, command=command) == []
+        assert execute([folder], folder.name) == []
     found = [
         {
             path.relative_to(folder): path.read_text()
@@ -205,11 +202,13 @@ def test_both_engines_leave_the_same_folders(cluster, prepare, tmp_path, monkeyp
     assert len(logs[0]) == len(logs[1])
 
 
-def test_a_folder_that_a_node_does_not_see_ends_it_all(engine, prepare):
-    todo, command = prepare(slow="slow")
+def test_a_folder_that_a_node_does_not_see_ends_it_all(engine, prepare, monkeypatch):
+    todo = prepare(slow="slow")
+    slow = jobs.command(todo[0])
+    monkeypatch.setattr(jobs, "command", lambda _: slow)
     lost = todo[0].with_name("elsewhere")
     with pytest.raises(ValueError, match=r"does not see .*elsewhere: put runs on a file system"):
-        execute([*todo, lost], engine, 2, progress=False, command=lambda _: command(todo[0]))
+        execute([*todo, lost], engine, 2)
     if (todo[0] / "attempts").exists():
         assert not any(map(lives, attempts(todo[0])))
 
@@ -219,14 +218,14 @@ def test_a_folder_that_a_node_does_not_see_ends_it_all(engine, prepare):
 def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
     if engine == "ray":
         pytest.importorskip("ray", reason="Ray is not installed")
-    todo, command = prepare(slow="slow", alike="slow", later="")
+    todo = prepare(slow="slow", alike="slow", later="")
     main = tmp_path / "main.py"
     main.write_text(
         "from pathlib import Path\n"
-        "from offairl_lite.runs.jobs import execute\n"
-        f"commands = {[(str(folder), command(folder)) for folder in todo]!r}\n"
-        "todo = [Path(folder) for folder, _ in commands]\n"
-        f"execute(todo, {engine!r}, 2, command=lambda folder: dict(commands)[str(folder)])\n"
+        "from offairl_lite.runs import jobs\n"
+        f"commands = {[(str(folder), jobs.command(folder)) for folder in todo]!r}\n"
+        "jobs.command = lambda folder: dict(commands)[str(folder)]\n"
+        f"jobs.execute([Path(folder) for folder, _ in commands], {engine!r}, 2)\n"
     )
     with open(tmp_path / "said", "w") as said:
         process = subprocess.Popen([sys.executable, str(main)], stderr=said)
@@ -247,7 +246,7 @@ def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
 
 def test_a_process_that_does_not_want_to_end_is_killed(prepare, monkeypatch):
     monkeypatch.setattr(jobs, "GRACE_S", 0.2)
-    todo, _ = prepare(deaf="")
+    todo = prepare(deaf="")
     deaf = "import signal, time; signal.signal(2, signal.SIG_IGN); print(1, flush=True); "
     command, stop = [sys.executable, "-c", deaf + "time.sleep(60)"], threading.Event()
     with ThreadPoolExecutor() as pool:
@@ -262,21 +261,13 @@ def test_as_many_at_a_time_as_there_are_cores():
     assert 1 <= jobs.cores() <= os.cpu_count()
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"engine": "threads"}, "engine is 'threads'; expected one of"),
-        ({"workers": 0}, "processes is 0; expected at least 1"),
-        ({"address": "auto"}, "address 'auto' is a Ray cluster's"),
-    ],
-)
-def test_mistakes_are_named(wrong, message):
-    with pytest.raises(ValueError, match=message):
-        execute([], **wrong)
+def test_an_address_is_a_ray_clusters():
+    with pytest.raises(ValueError, match="address 'auto' is a Ray cluster's: give the engine ray"):
+        execute([], address="auto")
 
 
 def test_without_ray_it_is_said_how_to_get_it(prepare, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    todo, command = prepare(one="")
+    todo = prepare(one="")
     with pytest.raises(ValueError, match=r"Ray is not installed: pip install -e '\.\[ray\]"):
-        execute(todo, "ray", command=command)
+        execute(todo, "ray")

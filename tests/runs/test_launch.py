@@ -11,7 +11,7 @@ import pytest
 import tyro
 
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.runs import checkpoints, folders, jobs, launch, worker
+from offairl_lite.runs import checkpoints, folders, jobs, launch
 from offairl_lite.runs.records import HEADER, RunSpec, read
 
 SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
@@ -49,13 +49,12 @@ def offairl(tmp_path, monkeypatch):
     script.write_text(WORK)
     made = []
 
-    def create(folder, config, seeds, **given):
-        made.append((folder, given))
+    def create(folder, spec, given):
+        made.append((folder, {"spec": spec, **given}))
         folder.mkdir(parents=True)
-        RunSpec(config, tuple(seeds), {}, None, 1).write(folder)
+        spec.write(folder)
         (folder / "run.json").write_text('{"state": "waiting", "step": 0}')
         (folder / "curve.csv").write_text(HEADER)
-        return "3 MB"
 
     def is_finished(folder):
         return json.loads((folder / "run.json").read_text())["state"] != "waiting"
@@ -64,14 +63,13 @@ def offairl(tmp_path, monkeypatch):
         subprocess.run([sys.executable, str(script), str(folder)], check=True)
 
     monkeypatch.setattr(folders, "create", create)
-    monkeypatch.setattr(worker, "is_finished", is_finished)
-    monkeypatch.setattr(worker, "work", work)
+    monkeypatch.setattr(folders, "is_finished", is_finished)
+    monkeypatch.setattr(folders, "work", work)
+    monkeypatch.setattr(jobs, "command", lambda folder: [sys.executable, str(script), str(folder)])
 
     def call(line, name="maze-expert"):
         made.clear()
-        command = launch.run_command(
-            name, "demo", lambda folder: [sys.executable, str(script), str(folder)]
-        )
+        command = launch.run_command(name, "demo")
         tyro.extras.subcommand_cli_from_dict(
             {"run": command, "other": print}, prog="offairl", args=["run", *line.split()]
         )
@@ -86,12 +84,12 @@ def test_a_sweep_makes_its_folders_does_its_work_and_shows_the_returns(offairl, 
     folder = Path("runs/sweep-maze-expert-demo")
     names = [f"temperature={t},hidden={h}" for t in ("0.1", "0.2") for h in ("8", "8x8")]
     assert [path for path, _ in made] == [folder / name for name in names]
-    given = made[0][1]
-    assert (given["experiment"], given["scale"]) == ("maze-expert", "demo")
-    assert (given["execution"].device, given["demonstrations"]) == ("cpu", None)
+    spec = made[0][1]["spec"]
+    assert (spec.experiment, spec.scale) == ("maze-expert", "demo")
+    assert (spec.execution["device"], spec.demonstrations) == ("cpu", None)
     assert sorted(os.listdir(folder)) == sorted(names)
     out = capsys.readouterr().out
-    assert out.startswith(f"{folder / names[0]} takes up to 3 MB of disk, mostly replay;")
+    assert out.startswith(f"{folder / names[0]} takes up to 16.8 MB of disk, mostly replay;")
     for name, numbers in zip(names, ["2.50 1.00 4.00"] * 2 + ["3.50 2.00 5.00"] * 2, strict=True):
         assert f"200 {numbers} {name}" in " ".join(out.split())
 
@@ -110,7 +108,8 @@ def test_runs_are_told_where_their_reward_is_from(offairl):
     seeds = SMALL.replace("0 3", "0 1 2 3 4")
     line = f"maze-transfer --grid temperature=0.1,0.2 --frozen-reward {reward} {seeds}"
     made = [given for _, given in offairl(line, "maze-transfer")]
-    assert [given["sources"]["frozen_reward"] for given in made] == [(reward,)] * 2
+    files = [given["spec"].inherited["frozen_reward"]["files"] for given in made]
+    assert files == [[str(reward)]] * 2
     assert all(len(given["frozen_reward"]) == 5 for given in made)
 
 
@@ -148,7 +147,7 @@ def test_a_disk_must_have_room_for_all_runs(offairl, monkeypatch):
     usage = namedtuple("Usage", "total used free")(10**9, 10**9, 3 * checkpoints.MARGIN)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     line = f"maze-expert --grid temperature=0.1,0.2 {SMALL} --out here"
-    with pytest.raises(OSError, match=r"needs .* MB of disk.* left: lower replay_size"):
+    with pytest.raises(OSError, match=r"MB of disk are needed.* left: lower replay_size"):
         offairl(line)
     assert not Path("here").exists()
     assert len(offairl(line.replace("0.1,0.2", "0.1"))) == 1
@@ -189,19 +188,25 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
     path = Path("here/temperature=0.1")
     shown = {"dataset": None, "trajectories": 50, "subsample": 1, "experts": None}
     inherited = {"frozen_reward": {"files": ["one"], "digest": ""}}
-    plan = RunSpec.read(path)
-    config = plan.config.change(reward="frozen")
-    replace(plan, config=config, demonstrations=shown, inherited=inherited).write(path)
-    same = (
-        f"maze-expert --grid temperature=0.1 {SMALL} --out here --reward frozen --frozen-reward one"
-    )
-    assert offairl(same) == []
-    for other, message in [
-        ("--trajectories 5", "is a run with trajectories 50, not 5: give the same, or choose"),
-        ("--frozen-reward two", r"is a run with frozen_reward \['one'\], not \['two'\]"),
+    plan, line = RunSpec.read(path), f"maze-expert --grid temperature=0.1 {SMALL} --out here"
+    for changes, same, other, message in [
+        (
+            {"demonstrations": shown, "config": plan.config.change(reward="dac")},
+            "--reward dac",
+            "--trajectories 5",
+            "is a run with trajectories 50, not 5: give the same, or choose",
+        ),
+        (
+            {"inherited": inherited, "config": plan.config.change(reward="frozen")},
+            "--reward frozen --frozen-reward one",
+            "--frozen-reward two",
+            r"is a run with frozen_reward \['one'\], not \['two'\]",
+        ),
     ]:
+        replace(plan, **changes).write(path)
+        assert offairl(f"{line} {same}") == []
         with pytest.raises(ValueError, match=message):
-            offairl(f"{same} {other}")
+            offairl(f"{line} {same} {other}")
     about = json.loads(Path("here/temperature=0.1/config.json").read_text())
     about["config"]["gone"] = 1
     Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
@@ -248,8 +253,8 @@ def test_long_runs_of_large_networks_are_compiled(
     monkeypatch.setattr("offairl_lite.core.acceleration.compiler", lambda: compiler)
     line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
     (_, given), *_ = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
-    assert given["execution"].compile is expected
-    assert given["execution"].onednn is (hidden == "400x300")
+    assert given["spec"].execution["compile"] is expected
+    assert given["spec"].execution["onednn"] is (hidden == "400x300")
 
 
 def test_an_interrupt_tells_how_to_go_on(offairl, monkeypatch):
@@ -272,9 +277,9 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
             "maze-imitation",
         )
     )
-    assert given["reward=dac"]["demonstrations"].lengths == (5, 5)
-    assert given["reward=dac"]["demonstrations"].source["subsample"] == 20
-    assert given["reward=environment"]["demonstrations"] is None
+    assert given["reward=dac"]["spec"].demonstrations["trajectories"] == 2
+    assert given["reward=dac"]["spec"].demonstrations["subsample"] == 20
+    assert given["reward=environment"]["spec"].demonstrations is None
     with pytest.raises(ValueError, match=r"first `offairl run maze-imitation`, then add --frozen-"):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()

@@ -4,12 +4,12 @@ import math
 import sys
 
 import pytest
+from run_folders import create
 
 from offairl_lite.core.loop import train
 from offairl_lite.runs import cli
 from offairl_lite.runs import tensorboard as logs
-from offairl_lite.runs.folders import create
-from offairl_lite.runs.worker import work
+from offairl_lite.runs.folders import work
 
 
 def scalars(folder, seed):
