@@ -15,7 +15,7 @@ def retrain(trainer, reward, updates):
     parts = zip(batch.split(size), rewards.split(size, 1), noise.split(size, 2), strict=True)
     for k, (minibatch, r, eps) in enumerate(parts, 1):
         given = minibatch, r, torch.zeros(1, 1), eps  # no absorbing state
-        trainer.models.learner.update(*given, delayed=k % ACTOR_DELAY == 0)
+        trainer.models.learner.update(*given, k % ACTOR_DELAY == 0)
 
 
 def test_retraining_is_plain_sac(tiny, frozen_reward):
