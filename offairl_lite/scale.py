@@ -1,7 +1,7 @@
 """Demo scale or full scale: the one place that reads `OFFAIRL_SCALE`."""
 
 import os
-from typing import Literal, get_args
+from typing import Literal
 
 Scale = Literal["demo", "full"]
 
@@ -14,7 +14,8 @@ def current() -> Scale:
     Raises:
         ValueError: the variable holds anything but `demo` or `full`.
     """
-    scale = os.environ.get("OFFAIRL_SCALE", "demo")
-    if scale not in get_args(Scale):
-        raise ValueError(f"OFFAIRL_SCALE is {scale!r}; set it to 'demo' or 'full', or unset it")
-    return scale
+    match os.environ.get("OFFAIRL_SCALE", "demo"):
+        case "demo" | "full" as scale:
+            return scale
+        case other:
+            raise ValueError(f"OFFAIRL_SCALE is {other!r}; set it to 'demo' or 'full', or unset it")

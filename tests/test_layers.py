@@ -11,9 +11,9 @@ ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 scale config core.shapes core.rng core.acceleration envs tabular core.networks core.policies
 core.replay core.absorbing core.rollouts minari_storage demonstrations plain core.rewards
-core.discriminator core.sac core.td3 core.ppo core.results core.collector core.models core.fitting
-core.evaluation core.requirements core.loop ablations experiments analysis.statistics analysis.epic
-analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
+core.discriminator core.sac core.td3 core.ppo core.results core.collector core.requirements
+core.models core.fitting core.evaluation core.loop ablations experiments analysis.statistics
+analysis.epic analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
 runs.checkpoints runs.jobs runs.folders runs.grid runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(

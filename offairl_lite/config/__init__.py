@@ -7,9 +7,9 @@ tables, grids and the command line; `Config.of` and `Config.change` take such fl
 optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is filled in from that code.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
 
 from offairl_lite.config.groups import (
     DiscriminatorConfig,
@@ -22,25 +22,7 @@ from offairl_lite.config.groups import (
     Schedule,
     TD3Config,
 )
-from offairl_lite.config.settings import Checked, checked, kinds, settings
-
-__all__ = [
-    "CORRECTED",
-    "PAPER",
-    "Config",
-    "DiscriminatorConfig",
-    "Frozen",
-    "LearnedReward",
-    "LearnerConfig",
-    "PPOConfig",
-    "RewardName",
-    "SACConfig",
-    "Schedule",
-    "TD3Config",
-    "differences",
-    "flat_settings",
-    "used_settings",
-]
+from offairl_lite.config.settings import Checked, checked, kinds
 
 
 @dataclass(frozen=True)
@@ -55,80 +37,44 @@ class Config:
     """
 
     schedule: Schedule = field(default_factory=Schedule)
-    learner: LearnerConfig = field(default_factory=SACConfig)
+    learner: SACConfig | TD3Config | PPOConfig = field(default_factory=SACConfig)
     discriminator: DiscriminatorConfig | Frozen | None = field(default_factory=DiscriminatorConfig)
 
     def __post_init__(self) -> None:
-        schedule, reward = self.schedule, self.reward
-        if schedule.warmup_steps > schedule.total_steps:
-            raise ValueError(
-                f"warmup_steps is {schedule.warmup_steps}, total_steps {schedule.total_steps}: "
-                "nothing would be trained; lower warmup_steps"
-            )
-        on_policy = isinstance(self.learner, PPOConfig)
-        first = (schedule.update_every or 0) + (schedule.warmup_steps if on_policy else 0)
-        if first > schedule.total_steps:
-            raise ValueError(
-                f"update_every is {schedule.update_every}, total_steps {schedule.total_steps}: "
-                "nothing would be trained; lower update_every"
-            )
-        if not schedule.start_steps < schedule.warmup_steps:
-            raise ValueError(
-                f"start_steps is {schedule.start_steps}; expected 0 or more, and fewer than the "
-                f"{schedule.warmup_steps} warmup_steps, of which something must be left to learn "
-                "from"
-            )
-        if schedule.absorbing != "none" and reward == "environment":
-            raise ValueError(
-                f"absorbing={schedule.absorbing!r} is for learned rewards; the task's own reward "
-                "is known to end with the episode: set absorbing='none'"
-            )
-        if schedule.absorbing == "analytic" and self.learner.discount == 1:
-            raise ValueError("absorbing='analytic' divides by 1 - discount: set discount below 1")
-        if on_policy:
-            self._check_on_policy()
-        elif reward == "gan-gcl":
-            raise ValueError(
-                "reward 'gan-gcl' is for whole episodes of the present policy: use learner='ppo'"
-            )
+        for message in self._conflicts():
+            raise ValueError(message)
+
+    def _conflicts(self) -> Iterator[str]:
+        """Yield what does not fit together, and what to do about it."""
+        schedule, reward, ppo = self.schedule, self.reward, isinstance(self.learner, PPOConfig)
+        total, warmup, start = schedule.total_steps, schedule.warmup_steps, schedule.start_steps
+        every, size, absorbing = schedule.update_every, schedule.replay_size, schedule.absorbing
+        if warmup > total:
+            yield f"warmup_steps is {warmup}, total_steps {total}: lower warmup_steps"
+        if (every or 0) + ppo * warmup > total:
+            yield f"update_every is {every}, total_steps {total}: lower update_every"
+        if start >= warmup:
+            yield f"start_steps is {start}; expected fewer than the {warmup} warmup_steps"
+        if ppo and not 1 <= (every or 0) <= size:
+            why = "ppo learns from the last so many steps"
+            yield f"update_every is {every}; {why}: set it, to replay_size ({size}) at most"
+        if ppo and start:
+            yield f"start_steps is {start}, and ppo learns from every step: set it to 0"
+        if ppo and absorbing != "none":
+            yield f"absorbing={absorbing!r} is not for ppo: set absorbing='none'"
+        if reward == "environment" and absorbing != "none":
+            yield f"absorbing={absorbing!r} is for learned rewards: set absorbing='none'"
+        if absorbing == "analytic" and self.learner.discount == 1:
+            yield "absorbing='analytic' divides by 1 - discount: set discount below 1"
+        if reward == "gan-gcl" and not ppo:
+            yield "reward 'gan-gcl' is for whole episodes of the present policy: use learner='ppo'"
+        if reward.startswith("implementation") and isinstance(self.learner, TD3Config):
+            yield f"reward {reward!r} needs log π, and td3's policy has none: use learner='sac'"
         if isinstance(self.discriminator, DiscriminatorConfig):
-            self._check_discriminator(self.discriminator)
-
-    def _check_discriminator(self, discriminator: DiscriminatorConfig) -> None:
-        schedule, reward = self.schedule, self.reward
-        log_prob_needed = reward.startswith("implementation") or reward == "gan-gcl"
-        if isinstance(self.learner, TD3Config) and log_prob_needed:
-            raise ValueError(
-                f"reward {reward!r} needs log π, and td3's policy is deterministic: "
-                "use learner='sac', or reward='dac'"
-            )
-        if schedule.start_steps and discriminator.loss == "mixture":
-            raise ValueError(
-                f"start_steps is {schedule.start_steps}, and loss='mixture' counts the steps of a "
-                "guide, which replay does not hold: set start_steps=0 or loss='exact'"
-            )
-        if discriminator.reward_sees is not None and schedule.absorbing != "none":
-            raise ValueError(
-                f"reward_sees is {discriminator.reward_sees}, without the absorbing state: set "
-                "absorbing='none'"
-            )
-
-    def _check_on_policy(self) -> None:
-        schedule = self.schedule
-        if schedule.update_every is None or schedule.update_every > schedule.replay_size:
-            raise ValueError(
-                f"update_every is {schedule.update_every}; ppo learns from the last so many steps: "
-                f"set it, to replay_size ({schedule.replay_size}) at most"
-            )
-        if schedule.absorbing != "none":
-            raise ValueError(
-                f"absorbing={schedule.absorbing!r} is not for ppo: set absorbing='none'"
-            )
-        if schedule.start_steps:
-            raise ValueError(
-                f"start_steps is {schedule.start_steps}, and ppo learns from every step: set it to "
-                "0"
-            )
+            if start and self.discriminator.loss == "mixture":
+                yield "loss='mixture' counts the steps of a guide: set start_steps=0"
+            if (sees := self.discriminator.reward_sees) and absorbing != "none":
+                yield f"reward_sees is {sees}, without the absorbing state: set absorbing='none'"
 
     @property
     def env_id(self) -> str:
@@ -141,11 +87,11 @@ class Config:
         return self.schedule.total_steps
 
     @property
-    def reward(self) -> RewardName:
-        """What the learner maximises, by name."""
-        if self.discriminator is None:
-            return "environment"
-        return "frozen" if self.discriminator == Frozen() else self.discriminator.reward
+    def reward(self) -> str:
+        """What the learner maximises, as in `RewardName`."""
+        if isinstance(self.discriminator, DiscriminatorConfig):
+            return self.discriminator.reward
+        return "environment" if self.discriminator is None else "frozen"
 
     @property
     def learns_reward(self) -> bool:
@@ -159,13 +105,13 @@ class Config:
 
     def flat(self) -> dict[str, Any]:
         """Return all settings by their flat names."""
-        flat = {"reward": self.reward, "learner": self.learner.kind}
-        if self.learns_reward:
+        flat: dict[str, Any] = {"reward": self.reward, "learner": self.learner.kind}
+        if isinstance(self.discriminator, DiscriminatorConfig):
             flat["ablation"] = self.discriminator.kind or None
         for group in (self.schedule, self.learner, self.discriminator):
             if isinstance(group, Checked):
-                names = settings(type(group))
-                flat |= {group.renamed.get(name, name): getattr(group, name) for name in names}
+                own = group.settings.items()
+                flat |= {flat_name: getattr(group, name) for flat_name, (name, _) in own}
         return flat
 
     @classmethod
@@ -175,26 +121,19 @@ class Config:
         Raises:
             ValueError: there is no such setting, or learner and reward have no use for it.
         """
-        reward = checked("reward", flat.pop("reward", "implementation-4"), RewardName)
-        learner = _kind("learner", flat.pop("learner", "sac"), LearnerConfig)
-        ablation = flat.pop("ablation", None)
-        discriminator = _kind("ablation", ablation, DiscriminatorConfig)
-        learned = reward not in ("environment", "frozen")
-        if ablation is not None and not learned:
-            raise ValueError(
-                f"ablation={ablation!r} is a discriminator's, and reward={reward!r} has none: "
-                "leave it out"
-            )
-        made = []
-        for group in (Schedule, learner, *([discriminator] if learned else [])):
-            names = {group.renamed.get(name, name): name for name in settings(group)}
-            given = {names[flat_name]: flat.pop(flat_name) for flat_name in names & flat.keys()}
-            made.append(group(**(given | ({"reward": reward} if "reward" in names else {}))))
-        if flat:
-            raise ValueError(_not_used(flat, learner.kind, reward, ablation))
-        if not learned:
-            made.append(Frozen() if reward == "frozen" else None)
-        return cls(*made)
+        chosen = {name: flat.get(name, default) for name, (_, default, _) in _choices().items()}
+        used = used_settings(**chosen)
+        for name in flat:
+            if name not in used:
+                raise ValueError(_why_unused(name, chosen))
+        given: dict[str, Any] = flat | chosen
+        groups: dict[str, Any] = {
+            "discriminator": Frozen() if given["reward"] == "frozen" else None
+        }
+        for part, group in _types(**chosen).items():
+            own = group.settings.items()
+            groups[part] = group(**{name: given[flat] for flat, (name, _) in own if flat in given})
+        return cls(**groups)
 
     def change(self, **flat: Any) -> "Config":
         """Return the configuration with some settings changed.
@@ -204,10 +143,10 @@ class Config:
         Raises:
             ValueError: see `of`.
         """
-        kept = self.flat()
-        reward, ablation = (flat.get(name, kept.get(name)) for name in ("reward", "ablation"))
-        names = used_settings(flat.get("learner", self.learner.kind), reward, ablation)
-        return Config.of(**({name: x for name, x in kept.items() if name in names} | flat))
+        now = self.flat()
+        both = now | flat
+        kept = used_settings(both["learner"], both["reward"], both.get("ablation"))
+        return Config.of(**{name: value for name, value in now.items() if name in kept} | flat)
 
 
 def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
@@ -220,56 +159,58 @@ def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
-def used_settings(learner: str, reward: str, ablation: str | None = None) -> set[str]:
-    """Return the flat names of the settings for which a learner and a reward have a use.
-
-    Raises:
-        ValueError: there is no such learner or ablation.
-    """
-    groups, names = [Schedule, _kind("learner", learner, LearnerConfig)], {"reward", "learner"}
-    if reward not in ("environment", "frozen"):
-        groups.append(_kind("ablation", ablation, DiscriminatorConfig))
-        names.add("ablation")
-    for group in groups:
-        names |= {group.renamed.get(name, name) for name in settings(group)}
-    return names
-
-
-def flat_settings() -> dict[str, tuple[Any, Any, str]]:
-    """Return type, default and group of every setting of any group, by its flat name."""
-    learners = Literal[tuple(filter(None, kinds(LearnerConfig)))]
-    ablations = Literal[tuple(filter(None, kinds(DiscriminatorConfig)))]
-    found = {
+def _choices() -> dict[str, tuple[Any, Any, str]]:
+    """Return type, default and group of the settings that choose the types of the groups."""
+    literal: Any = Literal
+    learners = literal[tuple(filter(None, kinds(LearnerConfig)))]
+    ablations = literal[tuple(filter(None, kinds(DiscriminatorConfig)))]
+    return {
         "reward": (RewardName, "implementation-4", "discriminator"),
         "learner": (learners, "sac", "learner"),
         "ablation": (ablations | None, None, "discriminator"),
     }
-    for base, group in ((Schedule, "schedule"), (LearnerConfig, "learner")):
+
+
+def _types(reward: str, learner: str, ablation: str | None) -> dict[str, type[Checked]]:
+    """Return the types of the groups that are chosen; without a reward to learn there are two."""
+    chosen = {"reward": reward, "learner": learner, "ablation": ablation}
+    for name, (hint, *_) in _choices().items():
+        checked(name, chosen[name], hint)
+    types: dict[str, type[Checked]] = {
+        "schedule": Schedule,
+        "learner": kinds(LearnerConfig)[learner],
+    }
+    if reward in get_args(LearnedReward):
+        types["discriminator"] = kinds(DiscriminatorConfig)[ablation or ""]
+    return types
+
+
+def used_settings(learner: str, reward: str, ablation: str | None = None) -> set[str]:
+    """Return the flat names of the settings for which a learner and a reward have a use.
+
+    Raises:
+        ValueError: there is no such learner, reward or ablation.
+    """
+    types = _types(reward, learner, ablation)
+    names = {"reward", "learner"}.union(*(group.settings for group in types.values()))
+    return names | {"ablation"} if "discriminator" in types or ablation is None else names
+
+
+def flat_settings() -> dict[str, tuple[Any, Any, str]]:
+    """Return type, default and group of every setting of any group, by its flat name."""
+    found, bases = _choices(), (Schedule, LearnerConfig, DiscriminatorConfig)
+    for base, group in zip(bases, ("schedule", "learner", "discriminator"), strict=True):
         for kind in kinds(base).values():
-            for one in fields(kind):
-                found.setdefault(one.name, (settings(kind)[one.name], one.default, group))
-    for kind in kinds(DiscriminatorConfig).values():
-        for one in fields(kind):
-            name = kind.renamed.get(one.name, one.name)
-            found.setdefault(name, (settings(kind)[one.name], one.default, "discriminator"))
+            for flat, (name, hint) in kind.settings.items():
+                found.setdefault(flat, (hint, getattr(kind, name), group))
     return found
 
 
-def _kind(name: str, kind: str | None, base: type[Checked]) -> type[Checked]:
-    """Return the type of a group by its kind; None is the kind of what is no ablation."""
-    there = {k or None: t for k, t in kinds(base).items() if k or base is DiscriminatorConfig}
-    if not isinstance(kind, str | None) or kind not in there:
-        raise ValueError(f"{name} is {kind!r}; expected one of {', '.join(map(repr, there))}")
-    return there[kind]
-
-
-def _not_used(flat: Iterable[str], learner: str, reward: str, ablation: str | None) -> str:
-    known, name = flat_settings(), next(iter(flat))
-    if name not in known:
+def _why_unused(name: str, chosen: dict[str, str | None]) -> str:
+    if name not in (known := flat_settings()):
         return f"no setting {name!r}; there are: {', '.join(known)}"
-    chosen = f"learner={learner!r}, reward={reward!r}"
-    chosen += f", ablation={ablation!r}" if ablation else ""
-    return f"{name} has no use with {chosen}: leave it out"
+    choice = [f"{key}={chosen[key]!r}" for key in ("learner", "reward", "ablation") if chosen[key]]
+    return f"{name} has no use with {', '.join(choice)}: leave it out"
 
 
 CORRECTED = Config()

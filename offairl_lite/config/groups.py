@@ -1,29 +1,27 @@
 """The three groups of settings: schedule, learner, discriminator."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import ClassVar, Literal
 
 from offairl_lite.config.settings import (
+    AtLeastOne,
     Checked,
     Count,
     Fraction,
-    NonNegativeInt,
+    Indices,
+    Interval,
+    Natural,
+    NonNegative,
     Positive,
-    Range,
     Sizes,
 )
 
-LearnedReward = Literal[
-    "implementation-1",
-    "implementation-2",
-    "implementation-3",
-    "implementation-4",
-    "dac",
-    "gail-survival",
-    "gail-termination",
-    "gan-gcl",
+Implementation = Literal[
+    "implementation-1", "implementation-2", "implementation-3", "implementation-4"
 ]
-RewardName = LearnedReward | Literal["environment", "frozen"]
+LearnedReward = Literal[Implementation, "dac", "gail-survival", "gail-termination", "gan-gcl"]
+RewardName = Literal[LearnedReward, "environment", "frozen"]
 
 
 @dataclass(frozen=True)
@@ -32,47 +30,34 @@ class Schedule(Checked):
 
     env_id: str = "offairl/PointMazeLeft-v0"
     """Gymnasium id of the task; observations and actions must be boxes."""
-
     total_steps: Count = 1_000_000
     """Environment steps of each member."""
-
     warmup_steps: Count = 10_000
     """Steps of uniform random actions. Their updates are made up for when they are over, but not by
     PPO, which learns from its own actions alone."""
-
-    warmup_hold: Annotated[float, Range(1)] = 1.0
+    warmup_hold: AtLeastOne = 1.0
     """Mean number of steps for which a warm-up action is held; 1 draws a fresh one every step."""
-
-    start_steps: NonNegativeInt = 0
+    start_steps: Natural = 0
     """The most steps for which a guide, another policy, acts at the start of an episode (random
-    state initialisation). How many is drawn each time. They count as steps, and are not learned
-    from."""
-
+    state initialisation). How many is drawn each time. They count, and are not learned from."""
     update_every: Count | None = None
     """Environment steps between training blocks, each of as many updates of the discriminator and
     then of the learner. None: the end of the episode, as in Algorithm 1. PPO learns from the
     block itself."""
-
     batch_size: Count = 100
     """Transitions from the demonstrations, and as many from replay, in one update. GAN-GCL takes
     as many whole episodes as that comes to."""
-
     replay_size: Count = 1_000_000
     """Transitions kept for each member; the oldest are overwritten. With PPO it says how far back
     the discriminator's negatives go: `update_every` is on-policy to the letter."""
-
     absorbing: Literal["none", "bootstrap", "analytic"] = "none"
     """What follows a termination: nothing; an absorbing state that loops (DAC); or the loop's
     return in closed form (the paper's R_T)."""
-
     normalise: bool = True
     """Whether networks see observations scaled to mean 0 and standard deviation 1: fixed statistics
-    of the warm-up and the demonstrations, half and half, or of the warm-up alone where there are
-    none."""
-
+    of the warm-up and, half and half, the demonstrations if there are any."""
     eval_every: Count = 5_000
     """Environment steps between evaluations."""
-
     eval_episodes: Count = 10
     """Episodes, with the policy's mode, of one evaluation. They run side by side: of a task of
     one's own, `eval_episodes` environments are open for each seed, and one more for training."""
@@ -84,13 +69,10 @@ class LearnerConfig(Checked):
 
     hidden: Sizes = (400, 300)
     """Hidden layers of actor and critics, ReLU."""
-
     discount: Fraction = 0.99
     """γ of the learner."""
-
     learning_rate: Positive = 1e-3
     """Adam's, for actor, critics and temperature."""
-
     reward_scale: Positive = 1.0
     """Factor on the learner's reward; the returns reported are without it."""
 
@@ -101,7 +83,6 @@ class OffPolicyConfig(LearnerConfig):
 
     target_rate: Fraction = 0.005
     """τ: the share of the critics that enters their targets after each update of the actor."""
-
     centre_reward: bool = False
     """Whether the learner's reward is paid without its mean over the replayed transitions of each
     chunk of updates. A learned reward has an arbitrary constant, which critics must first learn,
@@ -115,14 +96,6 @@ class TD3Config(OffPolicyConfig):
     kind = "td3"
 
 
-LogStdRange = tuple[float, float]
-
-
-def _check_log_std_range(log_std_range: tuple[float, float]) -> None:
-    if not log_std_range[0] < log_std_range[1]:
-        raise ValueError(f"log_std_range is {log_std_range!r}; expected a lower and an upper bound")
-
-
 @dataclass(frozen=True)
 class SACConfig(OffPolicyConfig):
     """SAC, and SAC-MCP where there are `primitives`."""
@@ -132,42 +105,33 @@ class SACConfig(OffPolicyConfig):
     temperature: Positive | None = 0.2
     """α. None: learned from 0.2 on, for a policy entropy of `target_entropy`. AIRL's logit
     f - log π is derived for 1."""
-
     target_entropy: float | None = None
     """Entropy, in nats, that a learned temperature holds. None: minus the dimension of actions."""
-
-    log_std_range: LogStdRange = (-5.0, 2.0)
+    log_std_range: Interval = (-5.0, 2.0)
     """Bounds of the actor's log σ, approached smoothly."""
-
     pretrained: Literal["nothing", "policy", "primitives"] = "nothing"
     """What the actor starts with of an earlier policy: nothing; all of it, with the scaling of its
     inputs; or all but the gate, which begins anew."""
-
     primitives: Count | None = None
     """SAC-MCP's number of primitives. None: the actor is one squashed Gaussian."""
-
     trunk_hidden: Sizes = (512, 256)
     """Layers that the primitives have in common, ReLU."""
-
     primitive_hidden: Sizes = (256,)
     """Hidden layers of each primitive after the trunk, ReLU."""
-
     gate_hidden: Sizes = (512, 256, 256)
     """Hidden layers of the gate, ReLU."""
-
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
     """How the gate's outputs become weights: adding up to 1, each in (0, 1), or each positive."""
-
     fixed_primitives: bool = False
     """Whether only the gate of the actor learns."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_log_std_range(self.log_std_range)
-        if self.fixed_primitives and self.primitives is None:
-            raise ValueError("fixed_primitives=True, and there are none: set primitives")
-        if self.pretrained == "primitives" and self.primitives is None:
-            raise ValueError("pretrained='primitives', and there are none: set primitives")
+    def conflicts(self) -> Iterator[str]:
+        """Yield what does not fit together, and what to do about it."""
+        if self.primitives is None and (self.fixed_primitives or self.pretrained == "primitives"):
+            yield (
+                f"fixed_primitives={self.fixed_primitives}, pretrained={self.pretrained!r}, and "
+                "there are none: set primitives"
+            )
 
 
 @dataclass(frozen=True)
@@ -178,75 +142,52 @@ class PPOConfig(LearnerConfig):
 
     temperature: Positive = 0.2
     """Weight of the entropy in the loss."""
-
-    log_std_range: LogStdRange = (-5.0, 2.0)
+    log_std_range: Interval = (-5.0, 2.0)
     """Bounds of the actor's log σ, approached smoothly."""
-
     pretrained: Literal["nothing", "policy"] = "nothing"
     """Whether the actor starts with an earlier policy, and the scaling of its inputs."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_log_std_range(self.log_std_range)
 
 
 @dataclass(frozen=True)
 class DiscriminatorConfig(Checked):
     """What the reward is learned by."""
 
-    renamed = {  # noqa: RUF012
-        "discount": "discriminator_discount",
-        "activation": "discriminator_activation",
-        "updates": "discriminator_updates",
+    renamed: ClassVar[dict[str, str]] = {
+        name: f"discriminator_{name}" for name in ("discount", "activation", "updates")
     }
 
     reward: LearnedReward = "implementation-4"
     """What the learner maximises: a variant of the paper's reward, DAC's, GAIL's of either sign, or
     GAN-GCL's."""
-
     loss: Literal["exact", "mixture", "released"] = "exact"
     """What AIRL's discriminator compares e^f with. `exact`: π as it is now, logit f - log π.
     `mixture`: π mixed with the warm-up's uniform actions, as replay has them, so that log π has no
     tail. `released`: nothing, logit f, as in the released code."""
-
     log_prob_in_reward: bool = True
     """Whether Implementations 1 and 2 pay f - log π. False: they pay f, and -log π is left to the
     learner's own entropy term, whose `temperature` is then to be larger by 1."""
-
     updates: Count | None = None
     """Updates of the discriminator at a training block. None: as many as the block has steps."""
-
     discount: Fraction = 0.99
     """γ in f(s, a, s') = r + γ V(s') - V(s)."""
-
     reward_hidden: Sizes = (100, 100)
     """Hidden layers of r."""
-
     shaping_hidden: Sizes = (100, 100)
     """Hidden layers of V."""
-
     activation: Literal["tanh", "relu"] = "tanh"
     """Activation in r and V."""
-
-    reward_sees: tuple[NonNegativeInt, ...] | None = None
+    reward_sees: Indices | None = None
     """Which dimensions of an observation r sees, by their indices; actions, where it sees actions,
     it sees whole. None: all of them. V sees all of them in any case."""
-
-    gradient_penalty: Annotated[float, Range(0)] = 10.0
+    gradient_penalty: NonNegative = 10.0
     """Weight of the penalty (‖∇f‖ - 1)², at one random point between an expert's and a policy's
     transition, by all that f sees."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reward_sees is not None and len(set(self.reward_sees)) != len(self.reward_sees):
-            raise ValueError(f"reward_sees is {self.reward_sees}; expected each index once")
-        if self.reward_sees == ():
-            raise ValueError("reward_sees is (); expected at least one index, or None")
-        if not self.log_prob_in_reward and self.reward not in (
-            "implementation-1",
-            "implementation-2",
-        ):
-            raise ValueError(
+    def conflicts(self) -> Iterator[str]:
+        """Yield what does not fit together, and what to do about it."""
+        pays_log_prob = self.reward in ("implementation-1", "implementation-2")
+        if not (self.log_prob_in_reward or pays_log_prob):
+            yield (
                 f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
                 "it is for implementation-1 and implementation-2"
             )

@@ -1,64 +1,58 @@
-"""Settings that are checked: against the types of their fields, and against ranges."""
+"""Settings that are checked: against the types of their fields, against ranges, and together."""
 
 import math
-from dataclasses import fields
-from functools import cache
+from collections.abc import Iterator
+from dataclasses import dataclass
 from numbers import Integral, Real
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
 
-class Range(NamedTuple):
-    """Where a number has to be; `above` says that `low` itself is too low."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    above: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        return self.low <= value <= self.high and not (self.above and value == self.low)
-
-    def __str__(self) -> str:
-        if self.high < math.inf:
-            return f"in [{self.low:g}, {self.high:g}]"
-        return f"above {self.low:g}" if self.above else f"of at least {self.low:g}"
-
-
-Count = Annotated[int, Range(1)]
-NonNegativeInt = Annotated[int, Range(0)]
-Positive = Annotated[float, Range(0, above=True)]
-Fraction = Annotated[float, Range(0, 1)]
+# A type, the values of it that are allowed in words, and the test for them.
+Count = Annotated[int, "of at least 1", lambda n: n >= 1]
+Natural = Annotated[int, "of at least 0", lambda n: n >= 0]
+AtLeastOne = Annotated[float, "of at least 1", lambda x: x >= 1]
+NonNegative = Annotated[float, "of at least 0", lambda x: x >= 0]
+Positive = Annotated[float, "above 0", lambda x: x > 0]
+Fraction = Annotated[float, "in [0, 1]", lambda x: 0 <= x <= 1]
 Sizes = tuple[Count, ...]
+Interval = Annotated[tuple[float, float], "in ascending order", lambda x: x[0] < x[1]]
+Indices = Annotated[tuple[Natural, ...], "and none twice", lambda x: 0 < len(x) == len({*x})]
+
+PLAIN: dict[type, tuple[Any, str]] = {
+    bool: (bool | np.bool_, "True or False"),
+    int: (Integral, "a whole number"),
+    float: (Real, "a number"),
+    str: (str, "a text"),
+}
+"""The types of single settings: what is taken for one, and what it is called in messages."""
 
 
+@dataclass(frozen=True)
 class Checked:
-    """Settings whose values are checked against the types of their fields."""
+    """A group of settings, checked one by one and then together."""
 
     kind: ClassVar[str] = ""
     renamed: ClassVar[dict[str, str]] = {}
     """Flat names of fields that another group has as well."""
+    settings: ClassVar[dict[str, tuple[str, Any]]] = {}
+    """The names and types of the fields, by their flat names."""
+
+    def __init_subclass__(cls) -> None:
+        hints = get_type_hints(cls, include_extras=True).items()
+        own = {name: hint for name, hint in hints if get_origin(hint) is not ClassVar}
+        cls.settings = {cls.renamed.get(name, name): (name, hint) for name, hint in own.items()}
 
     def __post_init__(self) -> None:
-        for name, hint in settings(type(self)).items():
-            flat = self.renamed.get(name, name)
+        for flat, (name, hint) in self.settings.items():
             object.__setattr__(self, name, checked(flat, getattr(self, name), hint))
+        for message in self.conflicts():
+            raise ValueError(message)
 
-
-@cache
-def settings(group: type) -> dict[str, Any]:
-    """Return the names and types of a group's settings."""
-    hints = get_type_hints(group, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(group)}
+    def conflicts(self) -> Iterator[str]:
+        """Yield what does not fit together, and what to do about it."""
+        yield from ()
 
 
 def kinds(base: type[Checked]) -> dict[str, type[Checked]]:
@@ -76,43 +70,29 @@ def checked(name: str, value: Any, hint: Any) -> Any:
         ValueError: it is of another type, not finite, or out of range; names the setting.
     """
     try:
-        return _checked(value, hint)
+        return _plain(value, hint)
     except ValueError:
         raise ValueError(f"{name} is {value!r}; expected {wanted(hint)}") from None
 
 
-def _checked(value: Any, hint: Any) -> Any:
+def _plain(value: Any, hint: Any) -> Any:
     origin, args = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        value = _checked(value, args[0])
-        if value not in args[1]:
-            raise ValueError
-        return value
     if origin in (Union, UnionType):
-        if all(get_origin(arg) is Literal for arg in args):
-            hint, origin, args = None, Literal, sum((get_args(arg) for arg in args), ())
-        else:
-            return None if value is None else _checked(value, args[0])
-    if origin is Literal:
-        if not isinstance(value, str) or value not in args:
-            raise ValueError
+        return None if value is None else _plain(value, args[0])
+    if origin is Annotated:
+        plain, is_allowed = _plain(value, args[0]), args[2]
+        if is_allowed(plain):
+            return plain
+    elif origin is tuple and isinstance(value, tuple | list):
+        hints = args[:1] * len(value) if args[-1] is ... else args
+        return tuple(_plain(part, own) for part, own in zip(value, hints, strict=True))
+    elif origin is Literal and isinstance(value, str) and value in args:
         return str(value)
-    if origin is tuple:
-        if not isinstance(value, tuple | list):
-            raise ValueError
-        kinds = [args[0]] * len(value) if args[-1] is ... else args
-        if len(kinds) != len(value):
-            raise ValueError
-        return tuple(_checked(part, kind) for part, kind in zip(value, kinds, strict=True))
-    is_bool = type(value).__name__ in ("bool", "bool_")  # Python's and NumPy's
-    if hint is bool and is_bool:
-        return bool(value)
-    if hint is int and isinstance(value, Integral) and not is_bool:
-        return int(value)
-    if hint is float and isinstance(value, Real) and not is_bool and math.isfinite(value):
-        return float(value)
-    if hint is str and isinstance(value, str):
-        return value
+    elif hint in PLAIN and isinstance(value, PLAIN[hint][0]):
+        # True is no number, though Python counts it among them.
+        is_bool = isinstance(value, bool | np.bool_)
+        if is_bool == (hint is bool) and (hint is not float or math.isfinite(value)):
+            return hint(value)
     raise ValueError
 
 
@@ -122,14 +102,9 @@ def wanted(hint: Any) -> str:
     if origin is Annotated:
         return f"{wanted(args[0])} {args[1]}"
     if origin in (Union, UnionType):
-        if all(get_origin(arg) is Literal for arg in args):
-            return f"one of {sum((get_args(arg) for arg in args), ())}"
         return f"{wanted(args[0])}, or None"
     if origin is Literal:
         return f"one of {args}"
-    if origin is tuple:
-        return (
-            f"a tuple, each part {wanted(args[0])}" if args[-1] is ... else f"{len(args)} numbers"
-        )
-    names = {bool: "True or False", int: "a whole number", float: "a number", str: "a text"}
-    return names[hint]
+    if origin is tuple and args[-1] is ...:
+        return f"a tuple, each part {wanted(args[0])}"
+    return f"{len(args)} numbers" if origin is tuple else PLAIN[hint][1]

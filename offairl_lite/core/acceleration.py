@@ -1,20 +1,20 @@
 """How updates are executed: as they are written, compiled, or replayed as a CUDA graph.
 
 The update is the same function in each case; only the order of floating-point sums may differ. As
-written it is hundreds of small operations, and with networks of 64 units most of the time goes to
-calling them. Compiled they become a few dozen, which pays for networks as large as the paper's and
-for runs longer than the minute that compiling takes. Most of what is left is matrix products, and
-who makes them matters. On a GPU a captured graph calls all at once.
+written it is hundreds of small operations. Compiled they become a few dozen, which pays for
+networks as large as the paper's and for runs longer than the minute that compiling takes. Most of
+what is left is matrix products. On a GPU a captured graph calls all at once.
 """
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
+from torch.utils._pytree import tree_leaves, tree_map_only
 
 from offairl_lite.config import Config, LearnerConfig
 
@@ -28,11 +28,7 @@ class Execution:
         threads: of PyTorch, in the whole process, and of the physics. One is best for anything that
             fits a core's cache; a second core does more good with a second process.
         compile: whether updates are compiled, which takes a C++ compiler and about a minute.
-        onednn: whether oneDNN makes an update's matrix products, on a processor where that costs
-            no precision; see `with_onednn`.
-
-    Raises:
-        ValueError: there is no such device, or no compiler, or `threads` is below 1.
+        onednn: whether oneDNN makes an update's matrix products, where that costs no precision.
     """
 
     device: str = "cpu"
@@ -52,11 +48,10 @@ class Execution:
             )
 
     def accelerate(self, step: Callable) -> Callable:
-        """Return a function that does what `step` does: changes tensors in place.
+        """Return a function that does what `step` does, which changes tensors in place.
 
-        Args:
-            step: takes tensors, named tuples of tensors, None and flags; returns a dictionary of
-                tensors. It must always be given tensors of the same shapes.
+        It takes tensors, always of the same shapes, tuples of them, None and flags, and returns a
+        dictionary of tensors.
         """
         if self.compile:
             # Gradients are taken inside the function that is compiled.
@@ -74,25 +69,18 @@ class Execution:
 
 
 def is_large(config: LearnerConfig) -> bool:
-    """Return whether networks are so large that the time goes to arithmetic, not to calls.
-
-    Members then gain little from being in one population, and more from a core each.
-    """
+    """Return whether networks are so large that the time goes to arithmetic, not to calls."""
     return max(config.hidden, default=0) > 128
 
 
 def fitting(
     config: Config, device: str, threads: int = 1, compile: Literal["auto", "yes", "no"] = "auto"
 ) -> Execution:
-    """Return how a run of this size is best executed; `auto` compiles long ones of large networks.
-
-    Raises:
-        ValueError: see `Execution`.
-    """
+    """Return how a run is best executed; `auto` compiles long ones of large networks."""
     large = is_large(config.learner)
-    long = large and config.total_steps >= 50_000
-    compiled = long and compiler() is not None if compile == "auto" else compile == "yes"
-    return Execution(device, threads, compiled, onednn=large and device == "cpu")
+    if compile == "auto" and large and config.total_steps >= 50_000 and compiler() is not None:
+        compile = "yes"
+    return Execution(device, threads, compile == "yes", onednn=large and device == "cpu")
 
 
 PIECE = 500
@@ -100,29 +88,19 @@ PIECE = 500
 
 
 def piecewise(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Return `function`, which takes one member at a time, and few of its rows.
+    """Return `function`, of weights and tensors `S B`, for one member at a time and few rows.
 
-    What a large network makes of ten thousand rows of ten members is hundreds of megabytes; of so
-    few it stays in a core's cache. For calls outside of an update, on a CPU.
-
-    Args:
-        function: of weights, axes `S P`, and of tensors with axes `S B`; row by row, and not
-            differentiated.
+    What a large network makes of few rows stays in a core's cache. It is not differentiated.
     """
 
     @wraps(function)
     def pieces(params: Tensor, *tensors: Tensor) -> Tensor:
-        found = torch.cat(
-            [
-                function(weights, *rows)
-                for weights, *member in zip(
-                    params.split(1), *(x.split(1) for x in tensors), strict=True
-                )
-                for rows in zip(*(x.split(PIECE, 1) for x in member), strict=True)
-            ],
-            1,
-        )
-        return found.view(tensors[0].shape[:2])
+        found = []
+        members = zip(params.split(1), *(x.split(1) for x in tensors), strict=True)
+        for weights, *member in members:
+            for rows in zip(*(x.split(PIECE, 1) for x in member), strict=True):
+                found.append(function(weights, *rows))
+        return torch.cat(found, 1).view(tensors[0].shape[:2])
 
     return pieces
 
@@ -135,17 +113,16 @@ def compiler() -> str | None:
 def with_onednn(step: Callable) -> Callable:
     """Return `step`, its matrix products made by oneDNN.
 
-    PyTorch has them made by MKL, which uses half the width of an AMD processor's vectors. oneDNN
-    uses all of it, and is asked where rounding to 16 bits is allowed. It may round then, and need
-    not: `onednn_is_exact` finds out.
+    PyTorch's own MKL uses half the width of an AMD processor's vectors. oneDNN uses all of it, and
+    is asked where rounding to 16 bits is allowed: whether it rounds, `onednn_is_exact` finds out.
     """
-    settings = torch.backends.mkldnn.matmul
+    settings: Any = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]
 
     @wraps(step)
-    def stepped(*args: Any, **kwargs: Any) -> Any:
+    def stepped(*args: Any) -> Any:
         before, settings.fp32_precision = settings.fp32_precision, "bf16"
         try:
-            return step(*args, **kwargs)
+            return step(*args)
         finally:
             settings.fp32_precision = before
 
@@ -154,24 +131,18 @@ def with_onednn(step: Callable) -> Callable:
 
 @cache
 def onednn_is_exact() -> bool:
-    """Return whether `with_onednn` leaves products in single precision, by making one.
-
-    A sum of 256 products of normal numbers is about 16. Single precision misses it by 1e-5, 16
-    bits by 0.1.
-    """
+    """Return whether `with_onednn` leaves products in single precision, by making one."""
+    # A sum of 256 products is about 16. Single precision misses it by 1e-5, 16 bits by 0.1.
     x = torch.randn(2, 256, 256, generator=torch.Generator().manual_seed(0))
     error = with_onednn(torch.bmm)(x, x) - torch.bmm(x.double(), x.double())
     return error.abs().max().item() < 1e-3
 
 
 class CudaGraphed:
-    """A step that is captured as a CUDA graph the second time it is called, then replayed.
+    """A step that is captured as a CUDA graph the second time it is called with the same flags.
 
-    The first call, with the flags it has, runs as written, so that libraries are ready; it is an
-    update like any other. Capturing computes nothing, so no update is made twice.
-
-    Args:
-        step: see `Execution.accelerate`.
+    The first call runs as written, so that libraries are ready; it is an update like any other.
+    Capturing computes nothing, so no update is made twice.
     """
 
     def __init__(self, step: Callable) -> None:
@@ -180,36 +151,21 @@ class CudaGraphed:
 
     def __call__(self, *args: Any) -> dict[str, Tensor]:
         """Make the update."""
-        key = tuple(x.shape if isinstance(x, Tensor) else x for x in _leaves(args))
+        leaves = tree_leaves(args)
+        key = tuple(x.shape if isinstance(x, Tensor) else x for x in leaves)
         if key not in self.graphs:
             self.graphs[key] = None
             return self.step(*args)
-        if self.graphs[key] is None:
-            inputs = _copied(args)
+        captured = self.graphs[key]
+        if captured is None:
+            inputs = tree_map_only(Tensor, torch.clone, args)
             graph = torch.cuda.CUDAGraph()
             with torch.cuda.graph(graph):
                 outputs = self.step(*inputs)
-            self.graphs[key] = graph, inputs, outputs
-        graph, inputs, outputs = self.graphs[key]
-        for place, value in zip(_leaves(inputs), _leaves(args), strict=True):
+            captured = self.graphs[key] = graph, tree_leaves(inputs), outputs
+        graph, places, outputs = captured
+        for place, value in zip(places, leaves, strict=True):
             if isinstance(place, Tensor):
                 place.copy_(value)
         graph.replay()
         return {name: value.clone() for name, value in outputs.items()}
-
-
-def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, tuple):
-        for part in value:
-            yield from _leaves(part)
-    else:
-        yield value
-
-
-def _copied(value: Any) -> Any:
-    if isinstance(value, Tensor):
-        return value.clone()
-    if isinstance(value, tuple):
-        parts = [_copied(part) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value

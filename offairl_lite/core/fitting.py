@@ -2,43 +2,37 @@
 
 The discriminator is trained on the demonstrations and the replay while the policy stays as it is;
 then the learner is trained on the reward, which stays as it is. So log π and rewards of many
-minibatches are computed in one pass. All functions return the diagnostics of the last update.
+minibatches are computed in one pass. Both functions return the diagnostics of the last update.
 """
 
 from collections.abc import Iterator
 
-from jaxtyping import Float
-from torch import Tensor
-
-from offairl_lite.core.models import Models, OfBatch
-from offairl_lite.core.ppo import EPOCHS
+from offairl_lite.core.models import LogDensity, Models
+from offairl_lite.core.ppo import EPOCHS, PPO
 from offairl_lite.core.replay import Batch, Replay, choose
-from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import ACTOR_DELAY
+from offairl_lite.core.shapes import Metrics
 
 CHUNK = 50
 """Minibatches that are gathered, and given log π or rewards, in one pass."""
 
-Metrics = dict[str, Float[Tensor, "S"]]
-
 
 def fit_discriminator(
-    models: Models,
-    demonstrations: Batch,
-    replay: Replay,
-    rng: Rng,
-    updates: int,
-    batch_size: int,
-    log_density: OfBatch,
+    models: Models, shown: Batch | None, replay: Replay, steps: int, log_density: LogDensity
 ) -> Metrics:
-    """Train the discriminator on demonstrations (axes `N`) and on replay, half and half."""
-    discriminator = models.discriminator
+    """Train the discriminator, if there is one, on demonstrations (axes `N`) and as much of replay.
+
+    It has `discriminator_updates`, or as many as the block has steps.
+    """
+    discriminator, rng, metrics = models.discriminator, models.rng, {}
+    if discriminator is None or shown is None:
+        return {}
     horizon = discriminator.horizon
-    size = max(batch_size // horizon, 1) * horizon
-    for minibatches in _chunks(updates):
+    size = max(models.config.schedule.batch_size // horizon, 1) * horizon
+    for minibatches in _chunks(discriminator.config.updates or steps):
         count = minibatches * size
-        index = choose(rng, [len(demonstrations.obs)] * len(rng), count, horizon)
-        expert = Batch(*(part[index] for part in demonstrations))
+        index = choose(rng, [len(shown.obs)] * len(rng), count, horizon)
+        expert = Batch(*(part[index] for part in shown))
         policy = replay.sample(rng, count, horizon)
         coefficient = rng.uniform(count, 4)
         log_probs = [[None] * minibatches] * 2
@@ -51,25 +45,25 @@ def fit_discriminator(
 
 
 def fit_learner(
-    models: Models,
-    replay: Replay,
-    rng: Rng,
-    updates: int,
-    batch_size: int,
-    reward: OfBatch,
-    done: int,
+    models: Models, replay: Replay, steps: int, log_density: LogDensity, done: int
 ) -> Metrics:
-    """Train SAC or TD3 on replay; after `done` updates every `ACTOR_DELAY`-th has the actor."""
+    """Train the learner as often as the block has steps, after `done` updates before.
+
+    SAC and TD3 learn from replay, and every `ACTOR_DELAY`-th update has the actor. PPO learns from
+    the block itself.
+    """
+    if isinstance(models.learner, PPO):
+        return _fit_on_policy(models, models.learner, replay.last(steps), log_density)
+    rng, batch_size = models.rng, models.config.schedule.batch_size
     metrics: Metrics = {}
-    absorbing_reward = models.absorbing_reward_of(reward)
-    for minibatches in _chunks(updates):
+    for minibatches in _chunks(steps):
         batch = replay.sample(rng, minibatches * batch_size)
-        r, r_absorbing = reward(batch), absorbing_reward(batch)
-        if models.config.learner.centre_reward:
+        r = models.reward_of(batch, log_density)
+        r_absorbing = models.absorbing_reward_of(batch, log_density)
+        if models.learner.config.centre_reward:
             mean = r.mean(1, keepdim=True)
             r, r_absorbing = r - mean, r_absorbing - mean
-        action_dim = batch.pre_tanh.shape[-1]
-        noise = rng.normal(2, minibatches * batch_size, action_dim).transpose(0, 1)
+        noise = rng.normal(2, *batch.pre_tanh.shape[1:]).transpose(0, 1)
         parts = batch.split(batch_size), r.split(batch_size, 1), noise.split(batch_size, 2)
         for minibatch, r_minibatch, eps in zip(*parts, strict=True):
             done += 1
@@ -78,17 +72,15 @@ def fit_learner(
     return metrics
 
 
-def fit_on_policy(
-    models: Models, block: Batch, rng: Rng, batch_size: int, reward: OfBatch
-) -> Metrics:
+def _fit_on_policy(models: Models, ppo: PPO, block: Batch, log_density: LogDensity) -> Metrics:
     """Train PPO on the steps, in order, that the present policy has just taken."""
-    rollout = models.learner.rollout(block, reward(block))
-    steps, action_dim = rollout.advantage.shape[1], block.pre_tanh.shape[-1]
+    rollout = ppo.rollout(block, models.reward_of(block, log_density))
+    rng, batch_size = models.rng, models.config.schedule.batch_size
+    metrics: Metrics = {}
     for _ in range(EPOCHS):
-        order = rng.uniform(steps).argsort(1)
-        noise = rng.normal(steps, action_dim)
-        pairs = zip(order.split(batch_size, 1), noise.split(batch_size, 1), strict=True)
-        for index, eps in pairs:
+        order = rng.uniform(block.obs.shape[1]).argsort(1).split(batch_size, 1)
+        noise = rng.normal(*block.pre_tanh.shape[1:]).split(batch_size, 1)
+        for index, eps in zip(order, noise, strict=True):
             metrics = models.update_learner(rollout.rows(index), eps)
     return metrics
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool
 from torch import Tensor
 from tqdm.auto import tqdm
 
@@ -22,37 +22,37 @@ from offairl_lite import envs
 from offairl_lite.config import Config, Schedule
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.collector import Collector, Members
+from offairl_lite.core.collector import Collector, Members, part_of, remedy
 from offairl_lite.core.evaluation import evaluate
-from offairl_lite.core.fitting import fit_discriminator, fit_learner, fit_on_policy
-from offairl_lite.core.models import Models, even_normaliser
+from offairl_lite.core.fitting import fit_discriminator, fit_learner
+from offairl_lite.core.models import Models, make_normaliser
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.ppo import PPO
 from offairl_lite.core.replay import Batch, Replay
-from offairl_lite.core.requirements import episode_length, require_fit, require_inputs
+from offairl_lite.core.requirements import Inherited, episode_length, require_fit, require_inputs
 from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Metrics
 from offairl_lite.demonstrations import Demonstrations
 
 
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
+    It is a ValueError if something that `config` needs is missing, or does not fit the task.
+
     Args:
         config: what to do.
-        seeds: one for each member of the population.
-        demonstrations: needed where a reward is learned.
-        frozen_reward: needed where `config.reward` is `frozen`: as many members as seeds.
-        pretrained_policy: needed where `pretrained` is not `nothing`: as many members as seeds.
-        guide: needed where `start_steps` is not 0: as many members as seeds.
+        seeds: one for each member; the same seeds on the same machine give the same run.
+        demonstrations: of the expert, where a reward is to be learned.
+        frozen_reward: where `config.reward` is `frozen`.
+        pretrained_policy: to start from, where `config.pretrained` says so.
+        guide: one that acts at the starts of episodes, where there are `start_steps`.
         execution: where and how it is computed.
         replay_file: where transitions are kept, if not in memory alone.
         memory: how many steps the replay file can be rewound, to a checkpoint.
-
-    Raises:
-        ValueError: an input that `config` needs is missing, or does not fit the task.
     """
 
     def __init__(
@@ -61,58 +61,47 @@ class Trainer:
         seeds: Sequence[int],
         demonstrations: Demonstrations | None = None,
         frozen_reward: Reward | None = None,
-        *,
         pretrained_policy: Policy | None = None,
         guide: Policy | None = None,
         execution: Execution = Execution(),  # noqa: B008
+        *,
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
         seeds = tuple(map(operator.index, seeds))  # Plain integers, also of an array.
-        require_inputs(config, seeds, demonstrations, frozen_reward, pretrained_policy, guide)
+        inherited = Inherited(frozen_reward, pretrained_policy, guide)
+        require_inputs(config, seeds, demonstrations, inherited)
         self.config, self.schedule, self.seeds = config, config.schedule, seeds
         self.execution, self.device = execution, torch.device(execution.device)
         torch.set_num_threads(execution.threads)
-        self.rng, self.members = Rng(seeds, self.device), Members(seeds)
         env = envs.make(config.env_id, len(seeds), seeds, num_threads=execution.threads)
-        self.dims = require_fit(config, env, frozen_reward, pretrained_policy, guide)
+        self.dims = require_fit(config, env, inherited)
         self.horizon = episode_length(config, demonstrations)
-        replay = Replay(
-            len(seeds),
-            self.schedule.replay_size,
-            *self.dims,
-            self.device,
-            file=replay_file,
-            slots=replay_slots(config.schedule, memory),
-        )
-        self.frozen_reward, self.pretrained_policy, guide = (
-            given and given.to(self.device) for given in (frozen_reward, pretrained_policy, guide)
-        )
-        self.demonstrations = None
+        self.inherited = inherited.to(self.device)
+        self.demonstrations: Batch | None = None
         if demonstrations is not None:
-            known = self.schedule.absorbing != "none"
-            batch = demonstrations.transitions
-            batch = absorbing.with_absorbing_states(batch) if known else batch
-            self.demonstrations = Batch(*(part.to(self.device) for part in batch))
+            shown = demonstrations.transitions
+            if self.schedule.absorbing != "none":
+                shown = absorbing.with_absorbing_states(shown)
+            self.demonstrations = Batch(*(part.to(self.device) for part in shown))
+        self.rng, self.members = Rng(seeds, self.device), Members(seeds)
+        size, slots = self.schedule.replay_size, replay_slots(self.schedule, memory)
+        replay = Replay(len(seeds), size, *self.dims, self.device, file=replay_file, slots=slots)
+        guide = self.inherited.guide
         self.collector = Collector(config, env, replay, self.rng, self.members, guide)
         self.models: Models | None = None
         # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
         self.blocks_due: list[int] = []
         self.block_start, self.evaluated = 0, 0
-        self.metrics: dict[str, Float[Tensor, "S"]] = {}
+        self.metrics: Metrics = {}
 
     def run(self) -> Iterator[list[Row]]:
         """Algorithm 1, from the current state to `total_steps`.
 
         Each pass first settles what the steps so far have made due, and then acts once: so a run
-        that is resumed begins with what its checkpoint still owes.
-
-        Yields:
-            After each block of steps an empty list, and after each evaluation a row for each
-            member. At these points the state can be kept, see `state`.
-
-        Raises:
-            FloatingPointError: every member has diverged.
+        that is resumed begins with what its checkpoint still owes. After each block of steps an
+        empty list is yielded, and after each evaluation a row for each member: the state can then
+        be kept. It is a FloatingPointError if every member has diverged.
         """
         for step in range(self.steps, self.schedule.total_steps + 1):
             # The warm-up's observations fix their scaling.
@@ -123,18 +112,53 @@ class Trainer:
                 while self.blocks_due:
                     self.fit(self.blocks_due.pop(0))
                     yield []
-                if self.evaluation_is_due(step):
+                if self.evaluation_is_due:
                     self.evaluated = step
                     yield self.evaluate()
             if step == self.schedule.total_steps:
                 return
             # Every member acts once, and replay keeps what happens.
-            ended = self.collector.step(None if self.models is None else self.explore)
+            ended = self.collector.step(self.models.explore if self.models else None)
             if self.block_ends(ended):
                 self.blocks_due.append(self.steps - self.block_start)
                 self.block_start = self.steps
                 if self.models is None:
                     yield []
+
+    def fit(self, steps: int) -> None:
+        """Train on a block of so many steps: the discriminator, then the learner on its reward."""
+        models, replay = self.built, self.collector.replay
+        # For both of them π is what it was before the block.
+        log_density = models.log_density(self.steps)
+        self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
+        self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
+        for name, lost in models.not_finite().items():
+            self.members.give_up(lost, self.steps, name, remedy(self.config.learner))
+
+    def evaluate(self) -> list[Row]:
+        """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
+        models, threads = self.built, self.execution.threads
+        return evaluate(models.policy, models.reward, self.collector, self.metrics, threads)
+
+    @property
+    def evaluation_is_due(self) -> bool:
+        """Whether the policies are to be evaluated now."""
+        at_end = self.steps == self.schedule.total_steps
+        due = at_end or self.steps % self.schedule.eval_every == 0
+        return self.models is not None and due and self.evaluated < self.steps
+
+    def block_ends(self, ended: Bool[np.ndarray, "S"]) -> bool:
+        """Whether a block of steps is over; `ended` says which members' episodes just ended."""
+        if self.horizon > 1 and (ended != (self.steps % self.horizon == 0)).any():
+            raise ValueError(
+                f"gan-gcl compares whole episodes of one length, {self.horizon} as demonstrated, "
+                f"and {self.config.env_id} has ended one elsewhere: choose another reward"
+            )
+        if self.schedule.update_every is not None:
+            return self.steps - self.block_start == self.schedule.update_every
+        if ended.any() and not ended.all():
+            raise ValueError("members' episodes end at different times: set update_every=1000, say")
+        return bool(ended.all())
 
     @property
     def steps(self) -> int:
@@ -150,59 +174,30 @@ class Trainer:
     def finished(self) -> bool:
         """Whether all steps, updates and evaluations are done."""
         at_end = self.steps >= self.schedule.total_steps
-        return at_end and not self.blocks_due and not self.evaluation_is_due(self.steps)
+        return at_end and not self.blocks_due and not self.evaluation_is_due
 
     @property
     def policy(self) -> Policy | None:
         """The policies as they are now; None during the warm-up."""
-        return self.models and self.models.policy
+        return self.models.policy if self.models else None
 
     @property
     def reward(self) -> Reward | None:
         """The learned reward as it is now, or the frozen one; None with the task's own."""
-        return self.frozen_reward if self.models is None else self.models.reward
+        return self.models.reward if self.models else self.inherited.frozen_reward
 
-    def evaluation_is_due(self, step: int) -> bool:
-        """Whether the policies are to be evaluated now."""
-        due = step % self.schedule.eval_every == 0 or step == self.schedule.total_steps
-        return self.models is not None and due and self.evaluated < step
-
-    def block_ends(self, ended: np.ndarray) -> bool:
-        """Whether a block of steps is over; `ended` says which members' episodes just ended.
-
-        Raises:
-            ValueError: episodes do not end where a block should.
-        """
-        if self.horizon > 1 and (ended != (self.steps % self.horizon == 0)).any():
-            raise ValueError(
-                f"gan-gcl compares whole episodes of one length, {self.horizon} as demonstrated, "
-                f"and {self.config.env_id} has ended one elsewhere or not there: choose another "
-                "reward"
-            )
-        if self.schedule.update_every is not None:
-            return self.steps - self.block_start == self.schedule.update_every
-        if ended.any() and not ended.all():
-            why = "members' episodes end at different times, so they have no common end to train at"
-            raise ValueError(f"{why}: set update_every (1000, say)")
-        return bool(ended.all())
-
-    def explore(self, obs: Float[Tensor, "S O"]) -> Float[Tensor, "S A"]:
-        """Return what the policies do when they explore, as `pre_tanh`, always finite."""
-        pre_tanh = self.models.explore(obs)
-        finite = pre_tanh.isfinite()
-        if not finite.all():
-            self.members.give_up(~finite.all(-1), self.steps, "actions", self.models.remedy)
-            pre_tanh = pre_tanh.where(finite, 0)
-        return pre_tanh
+    @property
+    def built(self) -> Models:
+        """The networks, which there are once the warm-up is over."""
+        if self.models is None:
+            raise RuntimeError("there are no networks before the warm-up is over")
+        return self.models
 
     def build(self, normaliser: Normaliser) -> None:
         """Make learner and discriminator."""
-        given = self.frozen_reward, self.pretrained_policy
-        execution, horizon = self.execution, self.horizon
-        self.models = Models(
-            self.config, self.dims, self.rng, normaliser, execution, horizon, *given
-        )
-        self.members.weights = self.models.weights
+        given = self.config, self.dims, self.rng, normaliser, self.execution, self.horizon
+        self.models = Models(*given, self.inherited)
+        self.members.weights = self.models.weights()
         if isinstance(self.models.learner, PPO):
             # It learns from its own actions alone.
             self.blocks_due.clear()
@@ -210,44 +205,9 @@ class Trainer:
 
     def normaliser(self) -> Normaliser:
         """Return the scaling of observations; a pretrained policy brings its own."""
-        if self.pretrained_policy is not None:
-            return self.pretrained_policy.normaliser
-        if not self.schedule.normalise:
-            return Normaliser.identity(len(self.seeds), self.dims[0], self.device)
-        seen = [self.collector.replay.held(member).obs for member in range(len(self.seeds))]
-        shown = None if self.demonstrations is None else self.demonstrations.obs
-        return even_normaliser(seen, shown, self.schedule.absorbing != "none")
-
-    def fit(self, steps: int) -> None:
-        """Train on a block: the discriminator as often as it has steps, then the learner.
-
-        `discriminator_updates`, where it is set, is how often the discriminator is trained.
-        """
-        models, replay, rng = self.models, self.collector.replay, self.rng
-        batch_size = self.schedule.batch_size
-        log_density = models.log_density(self.steps)
-        if models.discriminator is not None:
-            updates = self.config.discriminator.updates or steps
-            self.metrics |= fit_discriminator(
-                models, self.demonstrations, replay, rng, updates, batch_size, log_density
-            )
-        reward = models.reward_of(log_density)
-        if isinstance(models.learner, PPO):
-            block = replay.last(steps)
-            self.metrics |= fit_on_policy(models, block, rng, batch_size, reward)
-        else:
-            done = self.trained - steps
-            self.metrics |= fit_learner(models, replay, rng, steps, batch_size, reward, done)
-        for name, diverged in models.not_finite().items():
-            # Members that were given up still receive updates, so they are zeroed again.
-            lost = diverged | self.members.lost.to(self.device)
-            self.members.give_up(lost, self.steps, name, models.remedy)
-
-    def evaluate(self) -> list[Row]:
-        """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
-        done = self.steps, self.collector.episodes.tolist(), self.metrics
-        threads = self.execution.threads
-        return evaluate(self.config, self.policy, self.reward, self.members, *done, threads)
+        if self.inherited.pretrained_policy is not None:
+            return self.inherited.pretrained_policy.normaliser
+        return make_normaliser(self.config, self.collector.replay, self.demonstrations)
 
     def state(self) -> dict[str, Tensor]:
         """Return all that the future depends on but the rows of the replay and `diverged`."""
@@ -256,28 +216,24 @@ class Trainer:
             "blocks_due": torch.tensor(self.blocks_due, dtype=torch.long),
             "rng": self.rng.state,
             **{f"collector.{name}": x for name, x in self.collector.state().items()},
-            **{f"metrics.{name}": value for name, value in self.metrics.items()},
+            **{f"metrics.{name}": x for name, x in self.metrics.items()},
         }
         if self.models is not None:
             tensors |= {**self.models.normaliser._asdict(), **self.models.weights()}
         return tensors
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Restore a state of the same run; its replay file must be this trainer's.
-
-        Raises:
-            ValueError: the state is of something else.
-        """
+        """Restore a state of the same run, to which the replay file belongs; else ValueError."""
         try:
             if "mean" in state:
-                self.build(Normaliser(*(state[x].to(self.device) for x in ("mean", "std"))))
-                for name, tensor in self.models.weights().items():
+                self.build(Normaliser(*(state[part].to(self.device) for part in ("mean", "std"))))
+                for name, tensor in self.members.weights.items():
                     tensor.copy_(state[name])
             steps, self.block_start, self.evaluated = state["counts"].tolist()
             self.blocks_due = state["blocks_due"].tolist()
-            self.collector.restore(steps, _under("collector.", state))
+            self.collector.restore(steps, part_of(state, "collector"))
             self.rng.state = state["rng"]
-            metrics = _under("metrics.", state)
+            metrics = part_of(state, "metrics")
             self.metrics = {name: x.to(self.device) for name, x in metrics.items()}
         except (KeyError, RuntimeError) as error:
             raise ValueError(f"not a state of this run: {error}") from error
@@ -294,49 +250,34 @@ def replay_slots(schedule: Schedule, memory: int) -> int:
     return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)
 
 
-def _under(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the part of a state whose names begin with `prefix`."""
-    return {name.removeprefix(prefix): x for name, x in state.items() if name.startswith(prefix)}
-
-
 def complete(
     trainer: Trainer,
     progress: bool = True,
-    on_advance: Callable[[list[Row]], None] | None = None,
+    on_advance: Callable[[list[Row]], None] = lambda rows: None,
 ) -> Run:
-    """Run a trainer to completion.
+    """Take a trainer, a new one or one that was restored, to its end.
 
-    Args:
-        trainer: a new one, or one that was restored.
-        progress: whether to show a bar.
-        on_advance: called after each piece of work, with the rows of an evaluation if it was one;
-            a StopIteration of its own ends the run there.
-
-    Raises:
-        FloatingPointError: every member has diverged.
+    `on_advance` is called after each block and each evaluation, with the rows of an evaluation if
+    it was one; a StopIteration of its own ends the run there.
     """
     run = Run(trainer.config, trainer.seeds, diverged=trainer.members.diverged)
-    with tqdm(
-        total=trainer.config.total_steps, initial=trainer.trained, unit="step", disable=not progress
-    ) as bar:
+    total, first = trainer.config.total_steps, trainer.trained
+    with tqdm(total=total, initial=first, unit="step", disable=not progress) as bar:
         for rows in trainer.run():
             bar.update(trainer.trained - bar.n)
             if rows:
                 run.rows += rows
                 bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
-            if on_advance is not None:
-                try:
-                    on_advance(rows)
-                except StopIteration:
-                    break
+            try:
+                on_advance(rows)
+            except StopIteration:
+                break
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
-        warnings.warn(
-            "nothing was trained: no episode was over between step "
-            f"{trainer.schedule.warmup_steps}, the end of the warm-up, and step {trainer.steps}; "
-            "raise total_steps",
-            stacklevel=2,
-        )
+        start, end = trainer.schedule.warmup_steps, trainer.steps
+        when = f"between step {start}, the end of the warm-up, and step {end}"
+        why = f"nothing was trained: no episode was over {when}; raise total_steps"
+        warnings.warn(why, stacklevel=2)
     run.policy, run.reward = trainer.policy, trainer.reward
     return run
 
@@ -353,30 +294,19 @@ def train(
     progress: bool = True,
     on_evaluation: Callable[[list[Row]], None] | None = None,
 ) -> Run:
-    """Train a population from beginning to end, in memory.
+    """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
 
     Args:
-        config: what to do.
-        seeds: one for each member; the same seeds on the same machine give the same run.
-        demonstrations: of the expert, where a reward is to be learned.
-        frozen_reward: where `config.reward` is `frozen`.
-        pretrained_policy: to start from, where `config.pretrained` says so.
-        guide: one that acts at the starts of episodes, where there are `config.start_steps`.
-        execution: where and how it is computed.
         progress: whether to show a bar.
         on_evaluation: called after each evaluation with a row for each member, for logging
             (`runs.tensorboard.TensorBoard` is one such); to end early with what is there, it raises
             StopIteration.
-
-    Raises:
-        ValueError: something that `config` needs is missing, or does not fit the task.
-        FloatingPointError: every member has diverged.
     """
 
-    def advanced(rows: list[Row]) -> None:
+    def on_advance(rows: list[Row]) -> None:
         if rows and on_evaluation is not None:
             on_evaluation(rows)
 
-    given = {"pretrained_policy": pretrained_policy, "guide": guide, "execution": execution}
-    with closing(Trainer(config, seeds, demonstrations, frozen_reward, **given)) as trainer:
-        return complete(trainer, progress, advanced)
+    given = frozen_reward, pretrained_policy, guide, execution
+    with closing(Trainer(config, seeds, demonstrations, *given)) as trainer:
+        return complete(trainer, progress, on_advance)

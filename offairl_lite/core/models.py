@@ -1,53 +1,60 @@
 """The networks of a run: learner and discriminator, and the reward between them."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from offairl_lite.config import Config, LearnerConfig, SACConfig, TD3Config
+from offairl_lite.config import (
+    Config,
+    DiscriminatorConfig,
+    SACConfig,
+    TD3Config,
+)
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator, make_discriminator
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.policies import Policy, defensive_log_density
+from offairl_lite.core.policies import MultiplicativeGaussian, Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, Replay
+from offairl_lite.core.requirements import Inherited
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
+from offairl_lite.core.shapes import Column, Params, Vector
 from offairl_lite.core.td3 import TD3
 
-OfBatch = Callable[[Batch], Float[Tensor, "S B"]]
-"""A number for each transition of a batch."""
+LogDensity = Callable[[Batch], Vector]
+"""log π of each transition of a batch."""
 
 
-def make_learner(config: LearnerConfig, *given: Any, absorbing: str) -> SAC | TD3 | PPO:
+def make_learner(
+    config: Config, dims: tuple[int, int], rng: Rng, normaliser: Normaliser
+) -> SAC | TD3 | PPO:
     """Return the learner that its settings ask for."""
-    if isinstance(config, SACConfig):
-        return SAC(config, *given, absorbing)
-    return TD3(config, *given, absorbing) if isinstance(config, TD3Config) else PPO(config, *given)
+    learner, absorbing = config.learner, config.schedule.absorbing
+    if isinstance(learner, SACConfig):
+        return SAC(learner, *dims, rng, normaliser, absorbing)
+    if isinstance(learner, TD3Config):
+        return TD3(learner, *dims, rng, normaliser, absorbing)
+    return PPO(learner, *dims, rng, normaliser)
 
 
-def even_normaliser(
-    seen: Sequence[Float[Tensor, "N O"]], shown: Float[Tensor, "M O"] | None, extended: bool
-) -> Normaliser:
+def make_normaliser(config: Config, replay: Replay, demonstrations: Batch | None) -> Normaliser:
     """Return the scaling by what each member has seen and, half and half, what it was shown.
 
-    That even mixture is what the discriminator will look at. The absorbing state, which is no
-    place on the map, is left out.
-
-    Args:
-        seen: observations of each member, of its warm-up.
-        shown: observations of the demonstrations, if there are any.
-        extended: whether the last dimension is the indicator of the absorbing state.
+    The absorbing state, which is no place on the map, is left out.
     """
+    population = len(replay.added)
+    if not config.schedule.normalise:
+        return Normaliser.identity(population, replay.obs_dim, replay.device)
     members = []
-    for own in seen:
-        sources = [own] if shown is None else [own, shown]
-        if extended:
+    for i in range(population):
+        sources = [batch.obs for batch in (replay.held(i), demonstrations) if batch is not None]
+        if config.schedule.absorbing != "none":
             sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
         members.append(Normaliser.of(*(obs.unsqueeze(0) for obs in sources)))
     return Normaliser(*map(torch.cat, zip(*members, strict=True)))
@@ -56,15 +63,8 @@ def even_normaliser(
 class Models:
     """Learner and discriminator of all members.
 
-    Args:
-        config: of the run.
-        dims: O and A, as networks see them.
-        rng: for the initial weights.
-        normaliser: scales what all networks see.
-        execution: how updates are executed.
-        horizon: steps that the discriminator judges together.
-        frozen_reward: where the reward was learned before.
-        pretrained_policy: where the actor starts from one.
+    `dims` are O and A, as networks see them; `normaliser` scales what all of them see. `rng` is for
+    weights and training. `horizon` is how many steps the discriminator judges together.
     """
 
     def __init__(
@@ -75,35 +75,28 @@ class Models:
         normaliser: Normaliser,
         execution: Execution,
         horizon: int = 1,
-        frozen_reward: Reward | None = None,
-        pretrained_policy: Policy | None = None,
+        inherited: Inherited = Inherited(),  # noqa: B008
     ) -> None:
-        self.config, self.rng, self.frozen_reward = config, rng, frozen_reward
-        self.learner = make_learner(
-            config.learner, *dims, rng, normaliser, absorbing=config.schedule.absorbing
-        )
-        if pretrained_policy is not None:
-            self._start_from(pretrained_policy.params)
+        self.config, self.rng, self.normaliser = config, rng, normaliser
+        self.frozen_reward, policy, _ = inherited
+        self.learner = make_learner(config, dims, rng, normaliser)
+        if policy is not None:
+            self._start_from(policy.params)
         self.discriminator: Discriminator | None = None
-        if config.learns_reward:
+        if isinstance(config.discriminator, DiscriminatorConfig):
             self.discriminator = make_discriminator(
                 config.discriminator, *dims, rng, normaliser, horizon, config.env_id
             )
             self.update_discriminator = execution.accelerate(self.discriminator.update)
         self.update_learner = execution.accelerate(self.learner.update)
 
-    def _start_from(self, params: Float[Tensor, "S P"]) -> None:
+    def _start_from(self, params: Params) -> None:
         """Put a policy's weights, or those of its primitives, into the actor."""
-        own = self.learner.actor_params.detach()
-        if self.config.pretrained == "primitives":
-            gate = self.learner.actor.gate.num_params
+        actor, own = self.learner.actor, self.learner.actor_params.detach()
+        if self.config.pretrained == "primitives" and isinstance(actor, MultiplicativeGaussian):
+            gate = actor.gate.num_params
             params = torch.cat([params[:, :-gate], own[:, -gate:]], 1)
         own.copy_(params)
-
-    @property
-    def normaliser(self) -> Normaliser:
-        """What scales the observations that networks see."""
-        return self.learner.normaliser
 
     @property
     def policy(self) -> Policy:
@@ -123,87 +116,62 @@ class Models:
         scaled = self.normaliser(obs.unsqueeze(1))
         return self.learner.actor.explore(self.learner.actor_params, scaled, noise).squeeze(1)
 
-    def log_density(self, steps: int) -> OfBatch:
-        """Return log π of a batch's actions, under the actor as it is now.
+    def log_density(self, steps: int) -> LogDensity:
+        """Return log π under the actor as it is now, after so many environment steps.
 
-        With `loss="mixture"` it is that of π mixed with the warm-up's uniform actions.
-
-        Args:
-            steps: environment steps so far, which decide the warm-up's share of replay.
+        With `loss="mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
         """
-        params = self.learner.actor_params.detach().clone()
+        discriminator, schedule, share = self.config.discriminator, self.config.schedule, None
+        if isinstance(discriminator, DiscriminatorConfig) and discriminator.loss == "mixture":
+            # Rows of absorbing states, which push the warm-up out earlier, are not counted.
+            forgotten = max(steps - schedule.replay_size, 0)
+            share = max(schedule.warmup_steps - forgotten, 0) / (steps - forgotten)
+        return partial(self._log_density, self.learner.actor_params.detach().clone(), share)
 
-        def density(batch: Batch) -> Float[Tensor, "S B"]:
-            return self.learner.log_prob(params, batch.obs, batch.pre_tanh)
-
-        if not self.config.learns_reward or self.config.discriminator.loss != "mixture":
-            return density
-        schedule = self.config.schedule
-        # Steps are counted as rows. Absorbing states add some, so that once replay forgets, the
-        # warm-up is gone a little earlier than this says.
-        forgotten = max(steps - schedule.replay_size, 0)
-        share = max(schedule.warmup_steps - forgotten, 0) / (steps - forgotten)
-
-        def mixture(batch: Batch) -> Float[Tensor, "S B"]:
-            own = density(batch)
-            mixed = defensive_log_density(own, share, batch.pre_tanh.shape[-1])
-            if schedule.absorbing == "none":
-                return mixed
-            return mixed.where(~absorbing.is_absorbing(batch.obs), own)
-
-        return mixture
-
-    def reward_of(self, log_density: OfBatch) -> OfBatch:
-        """Return what the learner is to maximise, as a function of a batch."""
-        scale = self.config.learner.reward_scale
-
-        def reward(batch: Batch) -> Float[Tensor, "S B"]:
-            if self.frozen_reward is not None:
-                return scale * self.frozen_reward(batch.obs, batch.action)
-            if self.discriminator is None:
-                return scale * batch.reward
-            log_prob = log_density(batch) if self.discriminator.reward_is_logit else None
-            return scale * self.discriminator.reward(batch, log_prob)
-
-        return reward
-
-    def absorbing_reward_of(self, reward: OfBatch) -> OfBatch:
-        """Return r(s_a), `(S, 1)`, as a function of a batch, or 0 where there is no such state."""
+    def _log_density(self, params: Params, uniform_share: float | None, batch: Batch) -> Vector:
+        if isinstance(self.learner, TD3):
+            raise TypeError("td3's policy is deterministic and has no log π")
+        own = self.learner.log_prob(params, batch.obs, batch.pre_tanh)
+        if uniform_share is None:
+            return own
+        mixed = defensive_log_density(own, uniform_share, batch.pre_tanh.shape[-1])
         if self.config.schedule.absorbing == "none":
-            return lambda batch: torch.zeros_like(batch.reward[:, :1])
+            return mixed
+        return mixed.where(~absorbing.is_absorbing(batch.obs), own)
 
-        def absorbing_reward(batch: Batch) -> Float[Tensor, "S 1"]:
-            first = Batch(*(part[:, :1] for part in batch))
-            there = absorbing.absorbing_state(first.obs)
-            still = torch.zeros_like(first.pre_tanh)
-            return reward(first._replace(obs=there, pre_tanh=still, next_obs=there))
+    def reward_of(self, batch: Batch, log_density: LogDensity) -> Vector:
+        """Return what the learner is to maximise."""
+        scale = self.config.learner.reward_scale
+        if self.frozen_reward is not None:
+            return scale * self.frozen_reward(batch.obs, batch.action)
+        if self.discriminator is None:
+            return scale * batch.reward
+        log_prob = log_density(batch) if self.discriminator.reward_is_logit else None
+        return scale * self.discriminator.reward(batch, log_prob)
 
-        return absorbing_reward
+    def absorbing_reward_of(self, batch: Batch, log_density: LogDensity) -> Column:
+        """Return r(s_a), or 0 where there is no such state."""
+        if self.config.schedule.absorbing == "none":
+            return torch.zeros_like(batch.reward[:, :1])
+        first = Batch(*(part[:, :1] for part in batch))
+        there = absorbing.absorbing_state(first.obs)
+        still = torch.zeros_like(first.pre_tanh)
+        loop = first._replace(obs=there, pre_tanh=still, next_obs=there)
+        return self.reward_of(loop, log_density)
 
     def weights(self) -> dict[str, Tensor]:
         """Return the tensors that training changes: themselves, not copies."""
-        owners = {"learner": self.learner, "discriminator": self.discriminator}
-        return {
-            f"{kind}.{name}": tensor
-            for kind, owner in owners.items()
-            if owner is not None
-            for name, tensor in owner.state.items()
-        }
+        parts = {"learner": self.learner.state}
+        if self.discriminator is not None:
+            parts["discriminator"] = self.discriminator.state
+        return {f"{part}.{name}": x for part, own in parts.items() for name, x in own.items()}
 
     def not_finite(self) -> dict[str, Bool[Tensor, "S"]]:
         """Return, by network, which members have weights that are not finite."""
-        critics = self.learner.critic_params.detach()
-        critics = critics.view(-1, *critics.shape[-2:])  # two of SAC and TD3, one of PPO
-        nets = {"actor": self.learner.actor_params.detach(), "critic": critics.sum(0)}
+        nets = {"actor": self.learner.actor_params, "critic": self.learner.critic_params}
         if self.discriminator is not None:
-            nets["reward"] = self.discriminator.reward_params.detach()
-            nets["shaping"] = self.discriminator.value_params.detach()
-        return {name: ~params.isfinite().all(-1) for name, params in nets.items()}
-
-    @property
-    def remedy(self) -> str:
-        """What to do about weights that are not finite."""
-        remedy = "lower learning_rate or reward_scale"
-        if isinstance(self.learner, SAC) and self.config.learner.temperature is None:
-            remedy += ", or set temperature, if the learned one had risen without end (curve.csv)"
-        return remedy
+            nets["reward"] = self.discriminator.reward_params
+            nets["shaping"] = self.discriminator.value_params
+        broken = {name: ~params.isfinite().all(-1) for name, params in nets.items()}
+        # Two critics of SAC and TD3, one of PPO.
+        return broken | {"critic": broken["critic"].view(-1, len(self.rng)).any(0)}

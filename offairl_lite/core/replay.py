@@ -45,9 +45,8 @@ def pack(batch: Batch) -> Float[Tensor, "*batch D"]:
 def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
     """Undo `pack`; the parts are views."""
     action_dim = rows.shape[-1] - 2 * obs_dim - 2
-    obs, pre_tanh, next_obs, reward, terminated = rows.split(
-        [obs_dim, action_dim, obs_dim, 1, 1], -1
-    )
+    widths = [obs_dim, action_dim, obs_dim, 1, 1]
+    obs, pre_tanh, next_obs, reward, terminated = rows.split(widths, -1)
     return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
 
 
@@ -62,17 +61,8 @@ class Replay:
     """The last `capacity` transitions of each member.
 
     Members fill at their own pace: an episode that terminates may add rows (see `absorbing`). Rows
-    stay in main memory, or in a file that is mapped into it; samples go to the learners' device.
-
-    Args:
-        population: S.
-        capacity: rows a member.
-        obs_dim: O.
-        action_dim: A.
-        device: where samples are wanted.
-        file: where the rows live, if not in memory alone: as they are if it exists, else new.
-        slots: places for a member's rows, `capacity` or more: until a row's place is needed again,
-            a replay that is put back by some steps still finds it.
+    stay in main memory, or in a `file` that is mapped into it; samples go to `device`. With more
+    `slots` than `capacity`, a replay that is put back by some steps still finds its rows.
     """
 
     def __init__(
@@ -89,8 +79,7 @@ class Replay:
         self.obs_dim, self.capacity, self.device = obs_dim, capacity, torch.device(device)
         shape = (slots or capacity, population, 2 * obs_dim + action_dim + 2)
         self._map = None if file is None else _mapped(file, shape)
-        rows = torch.zeros(shape) if self._map is None else torch.from_numpy(self._map)
-        self.rows: Float[Tensor, "N S D"] = rows
+        self.rows = torch.zeros(shape) if self._map is None else torch.from_numpy(self._map)
         self.added = torch.zeros(population, dtype=torch.long)
         self._everyone = torch.arange(population)
 
@@ -100,62 +89,41 @@ class Replay:
         return self.added.clamp(max=self.capacity).tolist()
 
     def add(self, batch: Batch, members: Int[Tensor, "M"] | None = None) -> None:
-        """Add one transition for each member, or for each of `members`, axes `M`.
-
-        Raises:
-            ValueError: the shapes are not those of the buffer.
-        """
-        rows = pack(batch)
-        slots, _, width = self.rows.shape
-        members = self._everyone if members is None else members
-        if rows.shape != (len(members), width):
-            raise ValueError(
-                f"transitions pack to {tuple(rows.shape)}; this buffer takes "
-                f"{(len(members), width)} (members, 2 obs + action + 2)"
-            )
-        self.rows[self.added[members] % slots, members] = rows.to(self.rows)
+        """Add one transition for each member, or for each of `members`, axes `M`."""
+        rows, members = pack(batch), self._everyone if members is None else members
+        shape = len(members), self.rows.shape[-1]
+        if rows.shape != shape:
+            found = f"transitions pack to {tuple(rows.shape)}"
+            raise ValueError(f"{found}; this buffer takes {shape} (members, 2 obs + action + 2)")
+        self.rows[self.added[members] % len(self.rows), members] = rows.to(self.rows)
         self.added[members] += 1
 
     def held(self, member: int) -> Batch:
         """Return all that is held for one member, oldest first, axes `N`."""
-        slots, added = len(self.rows), int(self.added[member])
-        index = torch.arange(added - self.sizes[member], added) % slots
-        return unpack(self.rows[index, member].to(self.device), self.obs_dim)
+        added = int(self.added[member])
+        slots = torch.arange(added - self.sizes[member], added) % len(self.rows)
+        return unpack(self.rows[slots, member].to(self.device), self.obs_dim)
 
     def last(self, count: int) -> Batch:
-        """Return the last `count` transitions of each member, oldest first: axes `S count`.
-
-        Raises:
-            ValueError: a member has fewer.
-        """
+        """Return the last `count` transitions of each member, oldest first: axes `S count`."""
         if min(self.sizes) < count:
             raise ValueError(f"the last {count} transitions are wanted; held are {self.sizes}")
-        slot = (self.added.unsqueeze(1) - count + torch.arange(count)) % len(self.rows)
-        rows = self.rows[slot, self._everyone.unsqueeze(1)]
-        return unpack(rows.to(self.device), self.obs_dim)
+        return self._gather(self.added.unsqueeze(1) - count + torch.arange(count))
 
     def sample(self, rng: Rng, count: int, horizon: int = 1) -> Batch:
-        """Draw `count` transitions of each member, uniformly with replacement: axes `S count`.
-
-        Args:
-            rng: for the choice.
-            count: how many, a multiple of `horizon`.
-            horizon: how many in succession, see `choose`.
-
-        Raises:
-            ValueError: a member has not even one run of `horizon` transitions yet.
-        """
-        sizes, (slots, population, width) = self.sizes, self.rows.shape
-        if min(sizes) < horizon:
-            raise ValueError(
-                f"a member's replay is empty (sizes {sizes}) or has no whole episode: add to it"
-            )
+        """Draw `count` transitions of each member, see `choose`: axes `S count`."""
+        if min(sizes := self.sizes) < horizon:
+            why = f"is empty (sizes {sizes}) or has no whole episode"
+            raise ValueError(f"a member's replay {why}: add to it")
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
-        slot = (oldest + choose(rng, sizes, count, horizon).cpu()) % slots
-        # One gather for all members.
-        index = slot * population + self._everyone.unsqueeze(1)
+        return self._gather(oldest + choose(rng, sizes, count, horizon).cpu())
+
+    def _gather(self, position: Int[Tensor, "S M"]) -> Batch:
+        """Return transitions by their place in the order in which they were added."""
+        slots, population, width = self.rows.shape
+        index = position % slots * population + self._everyone.unsqueeze(1)
         rows = self.rows.view(-1, width).index_select(0, index.flatten())
-        return unpack(rows.view(population, count, width).to(self.device), self.obs_dim)
+        return unpack(rows.view(*index.shape, width).to(self.device), self.obs_dim)
 
     def flush(self) -> None:
         """Have what was added reach the disk."""
@@ -167,11 +135,11 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
     """Map a file of rows, which is made, or lengthened with zeros, to hold `shape`."""
     size = 4 * math.prod(shape)
     with open(file, "ab") as stream:
-        missing = size - stream.tell()
-        if missing > 0 and hasattr(os, "posix_fallocate"):
-            # The room is taken now: a mapped page that finds no room later kills the process.
+        missing = max(size - stream.tell(), 0)
+        # The room is taken now: a mapped page that finds no room later kills the process.
+        if missing and hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), size - missing, missing)
-        elif missing > 0:
+        else:
             for start in range(0, missing, 2**24):
                 stream.write(bytes(min(2**24, missing - start)))
     return np.memmap(file, np.float32, "r+", shape=shape)

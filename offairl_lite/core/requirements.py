@@ -1,22 +1,37 @@
-"""What a run needs to be given, and what does not fit together."""
+"""What a run is given, what it needs to be given, and what does not fit together."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from gymnasium.vector import VectorEnv
+import torch
 
-from offairl_lite.config import Config
+from offairl_lite.config import Config, DiscriminatorConfig
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.envs import BatchedEnv, SerialEnv
+
+
+class Inherited(NamedTuple):
+    """What a run is given of other runs, each with as many members as the run has seeds."""
+
+    frozen_reward: Reward | None = None
+    pretrained_policy: Policy | None = None
+    guide: Policy | None = None
+
+    def to(self, device: torch.device) -> "Inherited":
+        """Return the same on a device."""
+        reward, policy, guide = self
+        return Inherited(
+            reward and reward.to(device), policy and policy.to(device), guide and guide.to(device)
+        )
 
 
 def require_inputs(
     config: Config,
     seeds: Sequence[int],
     demonstrations: Demonstrations | None,
-    frozen_reward: Reward | None,
-    pretrained_policy: Policy | None,
-    guide: Policy | None,
+    inherited: Inherited,
 ) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
     if not seeds:
@@ -25,55 +40,46 @@ def require_inputs(
         raise ValueError(f"seeds are {tuple(seeds)}: two members with one seed are the same")
     if config.learns_reward and demonstrations is None:
         raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
-    if (config.reward == "frozen") != (frozen_reward is not None):
-        raise ValueError(f"reward={config.reward!r} and a frozen reward go together")
+    if demonstrations is not None and demonstrations.env_id != config.env_id:
+        raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")
     pretrained, start_steps = config.pretrained, config.schedule.start_steps
-    if (pretrained != "nothing") != (pretrained_policy is not None):
-        raise ValueError(f"pretrained={pretrained!r} and a pretrained policy go together")
-    if (start_steps > 0) != (guide is not None):
-        raise ValueError(f"start_steps={start_steps} and a guide go together")
-    populations = ("frozen rewards", frozen_reward), ("policies", pretrained_policy)
-    for what, given in (*populations, ("guides", guide)):
+    asked = {
+        f"reward={config.reward!r} and a frozen reward": config.reward == "frozen",
+        f"pretrained={pretrained!r} and a pretrained policy": pretrained != "nothing",
+        f"start_steps={start_steps} and a guide": start_steps > 0,
+    }
+    for (what, is_needed), given in zip(asked.items(), inherited, strict=True):
+        if is_needed != (given is not None):
+            raise ValueError(f"{what} go together")
         if given is not None and len(given) != len(seeds):
             numbers = " ".join(map(str, range(len(given))))
             raise ValueError(
-                f"{len(given)} {what} for {len(seeds)} seeds: give as many seeds, for instance "
-                f"--seeds {numbers}"
+                f"{what} of {len(given)} members for {len(seeds)} seeds: give as many seeds, for "
+                f"instance --seeds {numbers}"
             )
-    if demonstrations is not None and demonstrations.env_id != config.env_id:
-        raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")
 
 
 def require_fit(
-    config: Config,
-    env: VectorEnv,
-    frozen_reward: Reward | None,
-    pretrained_policy: Policy | None,
-    guide: Policy | None,
+    config: Config, env: BatchedEnv | SerialEnv, inherited: Inherited
 ) -> tuple[int, int]:
-    """Return O and A as networks see them.
-
-    Raises:
-        ValueError: what a run is given of other runs does not fit its task or its configuration.
-    """
-    env_obs_dim = env.single_observation_space.shape[0]
-    action_dim = env.single_action_space.shape[0]
-    obs_dim = env_obs_dim + (config.schedule.absorbing != "none")
-    reward_sees = config.discriminator.reward_sees if config.learns_reward else None
-    if reward_sees is not None and max(reward_sees) >= obs_dim:
+    """Return O and A as networks see them; ValueError if what a run is given does not fit them."""
+    (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
+    obs_dim += config.schedule.absorbing != "none"
+    discriminator, (reward, policy, guide) = config.discriminator, inherited
+    sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
+    if sees is not None and max(sees) >= obs_dim:
         raise ValueError(
-            f"reward_sees is {reward_sees}; observations of {config.env_id} have "
-            f"{obs_dim} numbers, so expected are indices from 0 to {obs_dim - 1}"
+            f"reward_sees is {sees}; observations of {config.env_id} have {obs_dim} numbers, so "
+            f"expected are indices from 0 to {obs_dim - 1}"
         )
-    if frozen_reward is not None:
-        _require_reward_fits(config, frozen_reward, env_obs_dim, action_dim)
-    if pretrained_policy is not None:
-        actor = make_actor(config.learner, obs_dim, action_dim)
-        if pretrained_policy.actor != actor:
-            raise ValueError(
-                f"the pretrained policy is a {pretrained_policy.actor}, and the actor of this "
-                f"run a {actor}: make the configurations the same"
-            )
+    if reward is not None:
+        _require_reward_fits(config, reward, obs_dim, action_dim)
+    actor = make_actor(config.learner, obs_dim, action_dim)
+    if policy is not None and policy.actor != actor:
+        raise ValueError(
+            f"the pretrained policy is a {policy.actor}, and the actor of this run a {actor}: "
+            "make the configurations the same"
+        )
     if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != (obs_dim, action_dim):
         raise ValueError(
             f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
@@ -82,44 +88,34 @@ def require_fit(
     return obs_dim, action_dim
 
 
-def _require_reward_fits(config: Config, reward: Reward, env_obs_dim: int, action_dim: int) -> None:
+def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_dim: int) -> None:
     """Raise ValueError if a frozen reward sees other numbers than a run has."""
-    kind, env_id = config.schedule.absorbing, config.env_id
-    obs_dim = env_obs_dim + (kind != "none")
-    sees = reward.normaliser.mean.shape[-1]
+    sees, kind = reward.normaliser.mean.shape[-1], config.schedule.absorbing
     if sees != obs_dim:
+        cure = f"give the reward of a task like {config.env_id}"
         # The absorbing state's indicator is one number.
-        other = f"it was learned on {reward.env_id}"
-        cure = f"{other}; give the reward of a task like {env_id}"
         if kind == "none" and sees == obs_dim + 1:
-            cure = f"{other}; if that had an absorbing state, set absorbing='bootstrap'"
-        elif kind != "none" and sees == env_obs_dim:
-            cure = f"{other}; if that had no absorbing state, set absorbing='none'"
+            cure = "if that had an absorbing state, set absorbing='bootstrap'"
+        elif kind != "none" and sees == obs_dim - 1:
+            cure = "if that had no absorbing state, set absorbing='none'"
         raise ValueError(
-            f"the frozen reward sees {sees} numbers; with absorbing={kind!r}, {env_id} "
-            f"gives {obs_dim}: {cure}"
+            f"the frozen reward sees {sees} numbers; with absorbing={kind!r}, {config.env_id} "
+            f"gives {obs_dim}: it was learned on {reward.env_id}; {cure}"
         )
-    if reward.state_only:
-        return
-    sees = reward.net.sizes[0] - obs_dim
-    if sees != action_dim:
+    if not reward.state_only and reward.net.sizes[0] - obs_dim != action_dim:
         raise ValueError(
-            f"the frozen reward is an r(s, a) of {reward.env_id}, with {sees} actions, and "
-            f"{env_id} has {action_dim}: give one of the state alone, for instance "
-            "Implementation 4's"
+            f"the frozen reward is an r(s, a) of {reward.env_id}, with "
+            f"{reward.net.sizes[0] - obs_dim} actions, and {config.env_id} has {action_dim}: give "
+            "one of the state alone, for instance Implementation 4's"
         )
 
 
 def episode_length(config: Config, demonstrations: Demonstrations | None) -> int:
-    """Return how many steps the discriminator judges together: 1, or GAN-GCL's whole episodes.
-
-    Raises:
-        ValueError: GAN-GCL's episodes are not all of one length, or blocks do not hold whole ones.
-    """
-    if config.reward != "gan-gcl":
+    """Return how many steps the discriminator judges together: 1, or GAN-GCL's whole episodes."""
+    if config.reward != "gan-gcl" or demonstrations is None:
         return 1
     lengths, schedule = set(demonstrations.lengths), config.schedule
-    multiples = schedule.warmup_steps, schedule.update_every, schedule.replay_size
+    multiples = schedule.warmup_steps, schedule.update_every or 0, schedule.replay_size
     if len(lengths) > 1 or any(n % min(lengths) for n in multiples):
         raise ValueError(
             "gan-gcl compares whole episodes of one length: the demonstrations have "

@@ -11,17 +11,10 @@ from offairl_lite.core.rewards import Reward
 
 
 class Row(NamedTuple):
-    """One evaluation of one member.
+    """One evaluation of one member, after `step` environment steps and `episodes` of training.
 
-    Args:
-        seed: of the member.
-        step: environment steps before the evaluation.
-        episodes: training episodes that had ended by then.
-        mean_return: mean over the evaluation's episodes of the task's own reward, undiscounted.
-        returns: of each of these episodes.
-        learned_return: mean over the episodes of the summed learned reward; NaN where none is
-            learned.
-        metrics: diagnostics of the last update, by name.
+    `returns` are undiscounted sums of the task's own reward; `learned_return` is the mean of those
+    of the learned reward, NaN without one. `metrics` are diagnostics of the last update.
     """
 
     seed: int
@@ -56,8 +49,8 @@ class Run:
     @property
     def returns(self) -> np.ndarray:
         """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
-        table = np.full((len(self.seeds), len(self.steps)), np.nan)
-        for row in self.rows:
-            column = np.searchsorted(self.steps, row.step)
-            table[self.seeds.index(row.seed), column] = row.mean_return
-        return table
+        found = {(row.seed, row.step): row.mean_return for row in self.rows}
+        steps = self.steps.tolist()
+        return np.array(
+            [[found.get((seed, step), np.nan) for step in steps] for seed in self.seeds]
+        )

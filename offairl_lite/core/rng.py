@@ -5,21 +5,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from torch import Tensor
+from torch import Generator, Tensor
 
 
 class Rng:
-    """Generators of `S` members.
+    """Generators of `S` members, one for each seed, which is 0 or above.
 
     What a member draws depends on its seed and on nothing else, so that seed 7 sees the same
-    numbers alone or among ten. Numbers are drawn on the CPU, and are the same on every device.
-
-    Args:
-        seeds: one seed for each member.
-        device: where the numbers are wanted.
-
-    Raises:
-        ValueError: a seed is below 0.
+    numbers alone or among ten. Numbers are drawn on the CPU and are the same on every `device`.
     """
 
     def __init__(self, seeds: Sequence[int], device: str | torch.device = "cpu") -> None:
@@ -28,12 +21,12 @@ class Rng:
         self.device = torch.device(device)
         # SeedSequence spreads neighbouring seeds over the generator's state.
         spread = [int(np.random.SeedSequence(seed).generate_state(1)[0]) for seed in seeds]
-        self.generators = [torch.Generator().manual_seed(seed) for seed in spread]
+        self.generators = [Generator().manual_seed(seed) for seed in spread]
 
     def __len__(self) -> int:
         return len(self.generators)
 
-    def _stack(self, draw: Callable[[int, torch.Generator], Tensor]) -> Tensor:
+    def _stack(self, draw: Callable[[int, Generator], Tensor]) -> Tensor:
         return torch.stack([draw(i, g) for i, g in enumerate(self.generators)]).to(self.device)
 
     def normal(self, *shape: int) -> Float[Tensor, "S ..."]:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from gymnasium.spaces import Box
-from gymnasium.vector import VectorEnv
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -54,8 +53,8 @@ def episode_seeds(
 ) -> list[int]:
     """Derive a seed for every episode of every member, `S * episodes`, in that order.
 
-    They depend on the member's own seed and on `purpose`, which keeps the episodes of, say, an
-    evaluation apart from those of a data set. `first` is the number of the first episode.
+    `purpose` keeps the episodes of, say, an evaluation apart from those of a data set. `first` is
+    the number of the first episode.
     """
     return [
         int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
@@ -65,11 +64,7 @@ def episode_seeds(
 
 
 def seen(policy: Policy, obs: Float[Tensor, "*axes O"]) -> Float[Tensor, "*axes O+1"]:
-    """Return a task's observations as a policy sees them, which may know of an absorbing state.
-
-    Raises:
-        ValueError: they are of another size.
-    """
+    """Return a task's observations as a policy sees them, which may know of an absorbing state."""
     return fit(obs, policy.actor.obs_dim, f"the policy of {policy.env_id}")
 
 
@@ -82,7 +77,7 @@ def require_actions(policy: Policy, space: Box) -> None:
         )
 
 
-def require_fit(policy: Policy, env: VectorEnv) -> None:
+def require_fit(policy: Policy, env: envs.BatchedEnv | envs.SerialEnv) -> None:
     """Raise ValueError if a policy sees or gives other numbers than an environment has."""
     seen(policy, torch.zeros(env.single_observation_space.shape))
     require_actions(policy, env.single_action_space)
@@ -92,13 +87,8 @@ def require_fit(policy: Policy, env: VectorEnv) -> None:
 def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.ndarray, "A"]:
     """Return what a one-member policy does: its mode, in the units of the task.
 
-    Args:
-        policy: one member; take it with `policy.member(i)`.
-        obs: an observation, as the task itself gives it.
-        space: of the task's actions, `env.action_space`, whose bounds a policy knows as -1 and 1.
-
-    Raises:
-        ValueError: the policy has more than one member, or sees or does something of another size.
+    `obs` is an observation as the task itself gives it. `space` is that of the task's actions,
+    `env.action_space`, whose bounds a policy knows as -1 and 1.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
@@ -128,32 +118,26 @@ def rollout(
         seeds: one for each member; the same seeds give the same episodes.
         episodes: how many for each member, all at the same time.
         sample: whether to sample actions; otherwise the mode is taken.
-        purpose: see `episode_seeds`.
-        first: number of the first episode; the seeds of earlier ones are left out.
+        purpose: see `episode_seeds`, also for `first`.
         num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
         NotFiniteError: an observation or a reward of the task is not finite.
-        ValueError: seeds and members are not equally many, the policy sees or gives other numbers
-            than the task has, or an episode of a task without a time limit does not end.
+        ValueError: seeds, policy and task do not fit, or an episode does not end.
     """
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
-    population = len(policy)
+    shape, device = (len(policy), episodes), policy.params.device
     each = episode_seeds(seeds, episodes, purpose, first)
-    env = envs.make(env_id, population * episodes, each, num_threads=num_threads)
-    action_dim = env.single_action_space.shape[0]
-    device = policy.params.device
-    # A stream for each episode: its noise is the same however many episodes there are.
-    rng = Rng(each, device)
-    obs, _ = env.reset()
-    running = np.ones(population * episodes, bool)
-    ended = np.zeros_like(running)
-    steps = []
-    spec = env.unwrapped.spec  # The package's own tasks, which all have a limit, have none.
-    limit = (spec and spec.max_episode_steps) or LONGEST
+    env = envs.make(env_id, len(each), each, num_threads=num_threads)
+    limit = envs.spec(env_id).max_episode_steps or LONGEST
+    # A generator for each episode: its noise is the same however many episodes there are.
+    rng, action_dim = Rng(each, device), policy.actor.action_dim
+    steps: list[tuple[np.ndarray, ...]] = []
+    running = np.ones(len(each), bool)
     with _torch_threads(num_threads), closing(env):
         require_fit(policy, env)
+        obs, _ = env.reset()
         while running.any():
             if len(steps) == limit:
                 raise ValueError(
@@ -161,33 +145,28 @@ def rollout(
                     "time limit, gymnasium.register(..., max_episode_steps=1000)"
                 )
             x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
-            x = x.view(population, episodes, -1)
-            noise = rng.normal(action_dim).view(population, episodes, -1) if sample else None
-            action = policy.act(x, noise).view(-1, action_dim).cpu().numpy()
+            noise = rng.normal(action_dim).view(*shape, -1) if sample else None
+            action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
             broken = running & ~(np.isfinite(next_obs).all(1) & np.isfinite(reward))
             if broken.any():
                 raise NotFiniteError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
-            steps.append((obs, action, next_obs, reward, running))
-            ended |= running & terminated
+            steps.append((obs, action, next_obs, reward, running & terminated, running))
             done = terminated | truncated
-            running = running & ~done
-            obs = next_obs
+            running, obs = running & ~done, next_obs
             if done.any():
                 obs, _ = env.reset(options={"reset_mask": done})
 
     columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
-    obs, action, next_obs, reward, alive = (
-        column.reshape(population, episodes, *column.shape[1:]) for column in columns
+    obs, action, next_obs, reward, terminated, alive = (
+        column.reshape(*shape, *column.shape[1:]) for column in columns
     )
-    mask = alive[..., None]
-    ended = ended.reshape(population, episodes)
+    mask, ended = alive[..., None], terminated.max(-1)
     return Episodes(obs * mask, action * mask, next_obs * mask, reward * alive, ended, alive)
 
 
 @contextmanager
 def _torch_threads(count: int) -> Iterator[None]:
-    """PyTorch with so many threads, and then with as many as before."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

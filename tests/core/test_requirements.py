@@ -87,7 +87,7 @@ def test_a_frozen_reward_of_other_actions_is_refused(tiny, frozen_reward, kind):
 
 def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, frozen_reward):
     frozen = tiny.change(reward="frozen")
-    with pytest.raises(ValueError, match=r"3 frozen rewards for 2 seeds: .* --seeds 0 1 2$"):
+    with pytest.raises(ValueError, match=r"reward of 3 members for 2 seeds: .* --seeds 0 1 2$"):
         Trainer(frozen, (0, 1), None, frozen_reward(3))
     with pytest.raises(ValueError, match="go together"):
         Trainer(frozen, (0, 1))
@@ -114,7 +114,7 @@ def test_what_comes_from_other_runs_is_needed_and_not_more(
 
 def test_policies_must_be_as_many_and_of_the_architecture(tiny, maze, earlier_policy):
     config = tiny.change(reward="environment", pretrained="policy")
-    with pytest.raises(ValueError, match="3 policies for 2 seeds"):
+    with pytest.raises(ValueError, match="a pretrained policy of 3 members for 2 seeds"):
         Trainer(config, range(2), pretrained_policy=earlier_policy(config, 3))
     with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
         Trainer(config.change(**MCP), range(2), pretrained_policy=earlier_policy(config, 2))

@@ -358,7 +358,7 @@ def test_every_second_update_is_the_actor_s_turn_from_one_block_to_the_next(lear
     models.update_learner = recorded
     done = 0
     for updates in (3, 4, 1):
-        fit_learner(models, replay, Rng((0, 1)), updates, 2, lambda batch: batch.reward, done)
+        fit_learner(models, replay, updates, models.log_density(0), done)
         done += updates
     assert turns == [i % ACTOR_DELAY == 0 for i in range(1, 9)]
     assert ACTOR_DELAY == 2

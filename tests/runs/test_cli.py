@@ -281,7 +281,7 @@ def test_mistakes_are_answered_in_one_line(
         ),
         ("--reward environment --loss exact", "loss has no use with learner='sac', reward='env"),
         ("--bottleneck 0.1", "bottleneck has no use with learner='sac', rew"),
-        ("--reward environment --ablation one-sided", "ablation='one-sided' is a discriminator's"),
+        ("--reward environment --ablation one-sided", "ablation has no use with learner='sac'"),
         ("--grid discount=2", "discount is 2; expected a number in [0, 1]"),
     ],
 )
