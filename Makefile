@@ -59,6 +59,7 @@ html: $(ENV) stage
 test: $(ENV)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/mypy
 	@rm -rf $(STAGE) _build
 	@$(MAKE) --no-print-directory stage
 	@tar -cf - $(CHAPTERS) | tar -xf - -C $(STAGE)

@@ -45,9 +45,9 @@ def cross_entropy(expert_logit: Vector, policy_logit: Vector) -> Scalar:
 
 def gradient_penalty(f: Callable[..., Vector], *x: Obs) -> Scalar:
     """Return E (‖∇f(x)‖ - 1)²: no cliffs in f (Gulrajani et al. 2017)."""
-    x = [part.detach().requires_grad_() for part in x]
+    at = [part.detach().requires_grad_() for part in x]
     # The penalty is differentiated in turn, so ∇f needs a graph of its own.
-    gradients = torch.autograd.grad(f(*x).sum(), x, create_graph=True)
+    gradients = torch.autograd.grad(f(*at).sum(), at, create_graph=True)
     return (torch.cat(gradients, -1).norm(dim=-1) - 1).square().mean()
 
 
@@ -244,9 +244,9 @@ def update_actor(sac: SAC, obs: Obs, noise: Action):
 # Chapter 5: off-policy AIRL (Arnob 2020).
 def normaliser(*sources: Obs) -> Scale:
     """Return the scaling to mean 0 and variance 1 of an even mixture."""
-    mean = sum(obs.mean(0) for obs in sources) / len(sources)
+    mean = torch.stack([obs.mean(0) for obs in sources]).mean(0)
     squares = [(obs - mean).square().mean(0) for obs in sources]
-    std = (sum(squares) / len(sources)).sqrt()
+    std = torch.stack(squares).mean(0).sqrt()
     std = torch.where(std > 1e-6, std, 1.0)  # A constant is only centred.
     return lambda obs: (obs - mean) / std
 
@@ -308,8 +308,9 @@ def train(
     episodes = [run_episode(env, lambda _: next(u)) for _ in range(warmup)]
     scale = normaliser(join(episodes).obs, demos.obs)
     airl, sac = Discriminator(dims[0], rng), SAC(*dims, rng)
+    zero = torch.zeros(dims[1])
 
-    def act(obs: Obs, noise: Action | float = 0.0) -> Action:
+    def act(obs: Obs, noise: Action = zero) -> Action:
         # Without noise this is the policy's mode.
         return sac.actor.sample(scale(obs), noise)[0]
 
