@@ -11,6 +11,7 @@ ROOT = Path(offairl_lite.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 IDS = [path.relative_to(ROOT).as_posix() for path in FILES]
 MODULE, FUNCTION, CLASS = 400, 80, 250
+PACKAGE = 10_200
 
 
 def lengths(source):
@@ -27,6 +28,10 @@ def test_lengths_are_counted_from_the_name_to_the_last_line():
         (ast.FunctionDef, "f", 2),
         (ast.FunctionDef, "g", 1),
     }
+
+
+def test_the_package_does_not_grow_again():
+    assert sum(len(path.read_text("utf-8").splitlines()) for path in FILES) <= PACKAGE
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)
