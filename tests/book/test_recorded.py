@@ -42,6 +42,7 @@ VARIED = {
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
     "locomotion-released-loss-demo/HalfCheetah-airl": {"loss"},
     "locomotion-wide-demo/HalfCheetah-airl": {"log_std_range"},
+    "hopper-none-demo/Hopper-released-fixed-short": {"absorbing", "eval_every"},
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
     "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
     "locomotion-centred-demo/HalfCheetah-airl": {"centre_reward"},
