@@ -9,20 +9,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import minari
 import numpy as np
 import torch
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite import envs, minari_storage
+from offairl_lite.config.settings import Count, NonNegativeInt, Range, checked
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, pack
 from offairl_lite.core.rollouts import Episodes, require_actions, rollout
-from offairl_lite.minari_storage import Recording, write
+from offairl_lite.minari_storage import Recording, outside, write
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
 PURPOSE = 1
@@ -78,14 +78,17 @@ class Demonstrations:
             seed: of these draws; a trajectory's draw does not depend on which others are taken.
         """
         count = len(self) if trajectories is None else trajectories
-        chosen = [*(range(count) if isinstance(count, int | np.integer) else count)]
+        if isinstance(count, Sequence | np.ndarray):
+            chosen = [*checked("trajectories", [*count], tuple[int, ...])]
+        else:
+            chosen = [*range(checked("trajectories", count, int))]
         if not chosen or len({*chosen} & {*range(len(self))}) < len(chosen):
             raise ValueError(
                 f"trajectories is {trajectories}; there are {len(self)}: give a number from 1 to "
                 f"{len(self)}, or a list of different ones from 0 to {len(self) - 1}"
             )
-        if every < 1:
-            raise ValueError(f"every is {every}; expected at least 1, which keeps all transitions")
+        checked("every", every, Count)
+        checked("seed", seed, NonNegativeInt)
         ends = np.cumsum(self.lengths)
         kept = []
         for i in chosen:
@@ -99,6 +102,30 @@ class Demonstrations:
         transitions = Batch(*(part[taken] for part in self.transitions))
         returns = tuple(self.returns[chosen].tolist())
         return Demonstrations(self.env_id, transitions, tuple(map(len, kept)), returns)
+
+
+def require_demonstrations(given: Demonstrations, env: envs.BatchedEnv | envs.SerialEnv) -> None:
+    """Raise ValueError unless demonstrations, whoever made them, are whole and fit a task."""
+    if not isinstance(given, Demonstrations) or not given.lengths:
+        raise ValueError(f"demonstrations is {given!r}; expected some of `demonstrations.load`")
+    ends = np.cumsum(checked("lengths", given.lengths, tuple[Count, ...]))
+    space, steps = env.single_observation_space, int(ends[-1])
+    widths = space.shape, env.single_action_space.shape, space.shape, (), ()
+    for name, part, width in zip(Batch._fields, given.transitions, widths, strict=True):
+        kind, shape = getattr(part, "dtype", type(part)), tuple(getattr(part, "shape", ()))
+        if kind != torch.float32 or shape != (steps, *width):
+            expected = f"expected torch.float32 of shape {(steps, *width)}"
+            raise ValueError(f"demonstrations: {name} is {kind} of shape {shape}; {expected}")
+    obs, _, next_obs, _, terminated = (part.numpy() for part in given.transitions)
+    wrong = (outside(obs, space) | outside(next_obs, space)).any(1)
+    wrong |= ~pack(given.transitions).isfinite().all(1).numpy()
+    wrong |= (terminated != 0) & (terminated != np.isin(np.arange(steps), ends - 1))
+    for at in np.flatnonzero(wrong)[:1]:
+        episode = np.searchsorted(ends, at, "right")
+        raise ValueError(
+            f"demonstrations, episode {episode}: expected finite numbers, observations in {space}, "
+            f"and terminated 0, or 1 at the end; found {[part[at] for part in given.transitions]}"
+        )
 
 
 def expert(env_id: str) -> Policy:
@@ -123,7 +150,7 @@ def expert_file(env_id: str) -> Path:
 
 def short_name(env_id: str) -> str:
     """Return `PointMazeLeft` for `offairl/PointMazeLeft-v0`."""
-    return env_id.split("/")[-1].rsplit("-v", 1)[0]
+    return checked("env_id", env_id, str).split("/")[-1].rsplit("-v", 1)[0]
 
 
 def load(
@@ -151,10 +178,9 @@ def load(
         OSError: Minari's local storage cannot be used.
         ValueError: the data set does not fit the task, or an argument is not valid.
     """
-    if trajectories < 1:
-        raise ValueError(f"trajectories is {trajectories}; expected at least 1")
-    if subsample < 1:
-        raise ValueError(f"subsample is {subsample}; expected at least 1, which keeps all steps")
+    trajectories = checked("trajectories", trajectories, Count)
+    subsample = checked("subsample", subsample, Count)
+    experts = checked("experts", experts, Count | None)
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         dataset_id = _made_by_experts(env_id, trajectories, experts)
@@ -168,8 +194,10 @@ def load(
                 "Download one with `minari download`, make one of recordings with "
                 "`demonstrations.write`, or have `offairl demos --policy` make one"
             )
-    read = minari_storage.read(minari.load_dataset(dataset_id), env_id, trajectories)
-    data = Demonstrations(env_id, *read)
+        if not {"observation_space", "action_space"} <= known[dataset_id].keys():
+            # Minari would make the task, and so import whatever the file names.
+            raise ValueError(f"data set {dataset_id}: expected both spaces among its metadata")
+    data = Demonstrations(env_id, *minari_storage.read(dataset_id, env_id, trajectories))
     return replace(data if subsample == 1 else data.subsample(every=subsample), source=source)
 
 
@@ -178,11 +206,7 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
     envs.spec(env_id)  # Refuses an unknown task before experts are looked for.
     policy = expert(env_id)
     if experts is not None:
-        if not 1 <= experts <= len(policy):
-            raise ValueError(
-                f"experts is {experts}; {len(policy)} are shipped for {env_id}: give a number from "
-                f"1 to {len(policy)}, or none for all of them"
-            )
+        checked("experts", experts, Annotated[int, Range(1, len(policy))])
         policy = policy.member(*range(experts))
     digest = _digest(expert_file(env_id).read_bytes())[:8]
     some = "" if experts is None else f"-first-{experts}"
@@ -199,8 +223,13 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
         if complete():
             return dataset_id
     with minari_storage.storage_errors():
-        lock = FileLock(get_dataset_path() / ".offairl.lock").acquire()
-    with lock:
+        lock = FileLock(get_dataset_path() / ".offairl.lock")
+        try:
+            held = lock.acquire(timeout=1)
+        except Timeout:
+            log.warning(f"waiting for another process that makes demonstrations: {lock.lock_file}")
+            held = lock.acquire()
+    with held:
         if not complete():
             # No other process is writing, so an incomplete data set was abandoned.
             shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
@@ -217,10 +246,9 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
     episodes of each member.
     """
     # Everything that can go wrong is checked before minutes of work.
-    if trajectories < 1:
-        raise ValueError(f"trajectories is {trajectories}; expected at least 1")
+    checked("trajectories", trajectories, Count)
     minari_storage.require_new(dataset_id)
-    _, units = minari_storage.closed_task(env_id)
+    *_, units = minari_storage.closed_task(env_id)
     require_actions(policy, units)
     middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
     first = made = first_episodes(policy, env_id)

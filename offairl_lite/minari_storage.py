@@ -19,6 +19,7 @@ from minari.dataset.minari_dataset import parse_dataset_id
 from minari.storage import get_dataset_path
 
 from offairl_lite import envs
+from offairl_lite.config.settings import checked
 from offairl_lite.core.policies import unsquash
 from offairl_lite.core.replay import Batch
 
@@ -53,21 +54,15 @@ def write(
     is written then.
     """
     require_new(dataset_id)
-    if not recordings:
-        raise ValueError("there are no recordings; expected at least one")
-    env, units = closed_task(env_id)
+    if not isinstance(recordings, Sequence) or not recordings:
+        raise ValueError(f"recordings is {recordings!r}; expected a list of at least one Recording")
+    env, seen, units = closed_task(env_id)
     buffer = []
-    for i, (obs, action, terminated, reward) in enumerate(recordings):
-        last = np.arange(len(action)) == len(action) - 1
-        episode = EpisodeBuffer(
-            id=i,
-            observations=np.asarray(obs, env.observation_space.dtype),
-            actions=np.asarray(action, units.dtype),
-            rewards=np.zeros(len(action)) if reward is None else np.asarray(reward),
-            terminations=last & terminated,
-            truncations=last & (not terminated),
-        )
-        _check(episode, f"recording {i}, for the task {env_id}", env.observation_space, units)
+    for i, recording in enumerate(recordings):
+        where = f"recording {i}, for the task {env_id}"
+        with _reading(where):
+            episode = _episode(i, recording, seen, units)
+        _check(episode, where, seen, units)
         buffer.append(episode)
     # Minari stores it, so that the data set can be told from data sets of other tasks.
     env.unwrapped.spec = _storable(envs.spec(env_id))
@@ -80,44 +75,69 @@ def write(
             buffer,
             env=env.unwrapped,
             eval_env=env.unwrapped,
-            observation_space=env.observation_space,
+            observation_space=seen,
             action_space=units,
             algorithm_name=algorithm,
             description=description,
         )
 
 
-def read(
-    dataset: minari.MinariDataset, env_id: str, trajectories: int
-) -> tuple[Batch, tuple[int, ...]]:
+def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
+    """Return recording i as Minari's episode, in the task's types; an error if they are others."""
+    obs, action, terminated, reward = recording
+    checked("terminated", terminated, bool)
+    steps = len(np.atleast_1d(action))
+    reward = np.zeros(steps) if reward is None else reward
+    arrays = []
+    for part, dtype in ((obs, seen.dtype), (action, units.dtype), (reward, float)):
+        with np.errstate(over="ignore"):  # What is too large becomes infinite, and is found.
+            arrays.append(np.asarray(part).astype(dtype, casting="same_kind"))
+    last = np.arange(steps) == steps - 1
+    return EpisodeBuffer(i, None, None, *arrays, last & terminated, last & (not terminated))
+
+
+def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[int, ...]]:
     """Return the transitions of the first episodes, axes `N` in order, and each episode's length.
 
     Actions are scaled to [-1, 1]. A data set that was made on another task is accepted if it fits
-    this one, and the log says so. It is a ValueError if there are too few episodes, or if shapes,
-    ranges, finiteness or episode ends do not fit the task.
+    this one, and the log says so. It is a ValueError if there are too few episodes, if a file is
+    damaged, or if shapes, types, ranges, finiteness or episode ends do not fit the task.
     """
-    (env, units), name = closed_task(env_id), dataset.spec.dataset_id
+    _, seen, units = closed_task(env_id)
+    with _reading(f"data set {dataset_id}"):
+        dataset = minari.load_dataset(dataset_id)
     if dataset.total_episodes < trajectories:
         raise ValueError(
-            f"{name}: {trajectories} trajectories were asked for; it has {dataset.total_episodes}: "
-            f"give --trajectories {dataset.total_episodes}, or fewer"
+            f"{dataset_id}: {trajectories} trajectories were asked for; it has "
+            f"{dataset.total_episodes}: give --trajectories {dataset.total_episodes}, or fewer"
         )
     parts = []
-    for episode in dataset.iterate_episodes(range(trajectories)):
-        where = f"data set {name}, episode {episode.id}, for the task {env_id}"
-        _check(episode, where, env.observation_space, units)
+    for i in range(trajectories):
+        where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
+        with _reading(where):
+            (episode,) = dataset.iterate_episodes([i])
+        _check(episode, where, seen, units)
         parts.append(_transitions(episode, units))
     made_on = dataset.spec.env_spec and dataset.spec.env_spec.id
     # The module that registers a task may be named before its id.
     if made_on and made_on.split(":")[-1] != env_id.split(":")[-1]:
         # Neither an error nor a warning, which may be turned into an error: it may be intended.
         log.warning(
-            f"The data set {name} was made on {made_on}, and is taken for demonstrations of "
+            f"The data set {dataset_id} was made on {made_on}, and is taken for demonstrations of "
             f"{env_id}. Shapes and bounds fit, and nothing else tells the two tasks apart: if you "
             f"did not mean to show another task, give a data set of {env_id}."
         )
     transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
+
+
+@contextmanager
+def _reading(where: str) -> Iterator[None]:
+    """Turn whatever NumPy, Minari and HDF5 raise on odd or damaged data into a ValueError."""
+    try:
+        yield
+    except Exception as error:
+        raise ValueError(f"{where}, cannot be read: {type(error).__name__}: {error}") from error
 
 
 def local_datasets() -> dict[str, dict[str, Any]]:
@@ -157,12 +177,12 @@ def require_new(dataset_id: str) -> None:
         )
 
 
-def closed_task(env_id: str) -> tuple[gymnasium.Env, Box]:
-    """Return a task, closed, and its action space; see `envs.spec` and `envs.require_boxes`."""
+def closed_task(env_id: str) -> tuple[gymnasium.Env, Box, Box]:
+    """Return a task, closed, and its spaces; see `envs.spec` and `envs.require_boxes`."""
     envs.spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
     env = gymnasium.make(env_id)
     env.close()
-    return env, envs.require_boxes(env_id, env.observation_space, env.action_space)
+    return env, *envs.require_boxes(env_id, env.observation_space, env.action_space)
 
 
 def _storable(spec: EnvSpec) -> EnvSpec:
@@ -174,38 +194,48 @@ def _storable(spec: EnvSpec) -> EnvSpec:
     return spec
 
 
-def _check(
-    episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: gymnasium.Space, units: Box
-) -> None:
+def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, units: Box) -> None:
     """Raise ValueError unless an episode fits a task; `where` says in the message which one."""
 
     def expect(met: bool, expected: str, found: object) -> None:
         if not met:
             raise ValueError(f"{where}: expected {expected}; found {found}")
 
-    steps = len(episode.rewards)
+    steps = len(np.atleast_1d(episode.terminations))
     expect(steps > 0, "at least one step", "none")
-    shapes = {"observations": (steps + 1, *(seen.shape or ())), "actions": (steps, *units.shape)}
-    for part, shape in {**shapes, "rewards": (steps,)}.items():
+    spaces = {"observations": seen, "actions": units}
+    shapes = {"observations": (steps + 1, *seen.shape), "actions": (steps, *units.shape)}
+    shapes |= dict.fromkeys(("rewards", "terminations", "truncations"), (steps,))
+    for part, shape in shapes.items():
         array = getattr(episode, part)
         found = getattr(array, "shape", type(array).__name__)
         expect(found == shape, f"{part} of shape {shape}", found)
-        bad = np.argwhere(~np.isfinite(array))
+        expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
+        with np.errstate(over="ignore"):
+            bad = np.argwhere(~np.isfinite(array.astype(np.float32)))  # As networks see them.
         found = f"{len(bad)} that are not, the first at {bad[:1]}"
         expect(len(bad) == 0, f"finite {part}", found)
-    actions = np.asarray(episode.actions)
-    inside = (actions >= units.low - 1e-5).all() and (actions <= units.high + 1e-5).all()
-    found = f"{actions.min():.6g} to {actions.max():.6g}"
-    expect(bool(inside), f"actions in [{units.low}, {units.high}]", found)
-    ends = np.flatnonzero(np.asarray(episode.terminations) | np.asarray(episode.truncations))
+    for part, space in spaces.items():
+        array = getattr(episode, part)
+        for step, i in np.argwhere(outside(array, space))[:1]:
+            found = f"{array[step, i]:.6g} in step {step}"
+            expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", found)
+    ended = np.asarray([episode.terminations, episode.truncations], bool)
+    ends = np.flatnonzero(ended.any(0))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
     expect(ends.tolist() == [steps - 1], expected, f"ends at {ends.tolist()}")
+
+
+def outside(array: np.ndarray, space: Box) -> np.ndarray:
+    """Tell which numbers are beyond a space's bounds, by more than rounding."""
+    below, above = (1e-5 * np.maximum(1, abs(bound)) for bound in (space.low, space.high))
+    return (array < space.low - below) | (array > space.high + above)
 
 
 def _transitions(episode: minari.EpisodeData, units: Box) -> Batch:
     """Return an episode's transitions, with actions scaled to [-1, 1]."""
     action = 2 * (np.asarray(episode.actions) - units.low) / (units.high - units.low) - 1
-    obs, rewards, ends = episode.observations, episode.rewards, episode.terminations
+    obs, rewards, ends = episode.observations, episode.rewards, episode.terminations != 0
     parts = (obs[:-1], action, obs[1:], rewards, ends)
     tensors = Batch(*(torch.as_tensor(np.asarray(p), dtype=torch.float32) for p in parts))
     return tensors._replace(pre_tanh=unsquash(tensors.pre_tanh))

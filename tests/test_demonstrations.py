@@ -209,7 +209,12 @@ def test_a_data_set_that_is_there_is_not_overwritten(own, arm_policy, write_data
 @pytest.mark.parametrize(
     ("env_id", "trajectories", "name", "message"),
     [
-        ("ownbot/Arm-v0", 0, "own/arm-v0", "trajectories is 0; expected at least 1"),
+        (
+            "ownbot/Arm-v0",
+            0,
+            "own/arm-v0",
+            "trajectories is 0; expected a whole number of",
+        ),
         ("ownbot/Arm-v0", 1, "arm", "'arm' is not a valid name of a Minari data set; expected"),
         ("ownbot/Arm-v0", 1, "../arm-v0", "is not a valid name of a Minari data set"),
         ("ownbot/Amr-v0", 1, "own/arm-v0", "unknown environment 'ownbot/Amr-v0'"),
@@ -301,7 +306,7 @@ def test_the_first_expert_shows_what_it_shows_among_others(minari_folder, shippe
 
 @pytest.mark.parametrize("experts", [0, 3])
 def test_more_experts_than_are_shipped_are_refused(minari_folder, shipped_experts, experts):
-    with pytest.raises(ValueError, match=rf"experts is {experts}; 2 are shipped for {MAZE}"):
+    with pytest.raises(ValueError, match=f"experts is {experts}; expected a whole number"):
         load(MAZE, 3, experts=experts)
 
 
@@ -438,9 +443,9 @@ def test_trajectories_that_are_not_there_cannot_be_taken(trajectories):
 
 @pytest.mark.parametrize("every", [0, -20])
 def test_less_than_every_transition_cannot_be_taken(every):
-    with pytest.raises(ValueError, match=f"every is {every}; expected at least 1"):
+    with pytest.raises(ValueError, match=f"every is {every}; expected a whole number of"):
         numbered([5], [True]).subsample(every=every)
-    with pytest.raises(ValueError, match=f"subsample is {every}; expected at least 1"):
+    with pytest.raises(ValueError, match=f"subsample is {every}; expected a whole"):
         load("Pendulum-v1", 2, "my/pendulum-v0", subsample=every)
 
 

@@ -12,6 +12,7 @@ from IPython.display import HTML
 from jaxtyping import UInt8
 
 from offairl_lite import envs
+from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rollouts import require_fit, seen
 
@@ -22,8 +23,11 @@ def frames(
     """Return frames, `every` so many steps, of one episode in which a policy takes its mode.
 
     It is a ValueError if the policy has more than one member (take `policy.member(i)`) or does not
-    fit the task, or if the task does not render frames, as the package's own tasks do.
+    fit the task, if the task does not render frames, as the package's own tasks do, or if
+    `max_steps` or `every` is below 1.
     """
+    for name, count in (("max_steps", max_steps), ("every", every)):
+        checked(name, count, Count)
     if len(policy) != 1:
         raise ValueError(
             f"the policy has {len(policy)} members, and a film shows one: choose it, for example "

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from offairl_lite.config.settings import Range, Sizes, checked, settings
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Obs, Params, Scalar, TwinParams, TwinQ, Vector
 
@@ -65,7 +66,7 @@ class StackedMLP:
     `sizes` are the features of the input, of each hidden layer, and of the output, which is linear.
     """
 
-    sizes: tuple[int, ...]
+    sizes: Sizes
     activation: Literal["relu", "tanh"] = "relu"
 
     @property
@@ -231,7 +232,7 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is no safetensors file, or one of another `about["kind"]`.
+        ValueError: it is no safetensors file, or damaged, or one of another `about["kind"]`.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
@@ -239,11 +240,18 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
         with safe_open(path, "pt") as file:
             about = json.loads((file.metadata() or {}).get("about", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(f"{path} is no safetensors file: {error}") from error
-    if about.get("kind") != kind:
-        raise ValueError(f"{path} holds {about.get('kind', 'something unnamed')!r}, not a {kind}")
+    except (SafetensorError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no safetensors file of this package: {error}") from error
+    found = about.get("kind", "something unnamed") if isinstance(about, dict) else "no metadata"
+    if found != kind:
+        raise ValueError(f"{path} holds {found!r}, not a {kind}")
     return tensors, about
+
+
+def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
+    """Return what metadata say of a dataclass; ValueError if a field is of another type."""
+    known = settings(kind).items()
+    return {name: checked(name, about[name], hint) for name, hint in known if name in about}
 
 
 class Population:
@@ -257,8 +265,10 @@ class Population:
         return len(self.params)
 
     def member(self, *index: int) -> Self:
-        """Return the population of these members alone."""
-        return self._each(lambda tensor: tensor[list(index)])
+        """Return the population of these members alone; ValueError if there is none of a number."""
+        there = Annotated[int, Range(0, len(self) - 1)]
+        chosen = [checked("member", i, there) for i in index or (None,)]
+        return self._each(lambda tensor: tensor[chosen])
 
     def to(self, device: str | torch.device) -> Self:
         """Return the same population on a device."""
@@ -276,10 +286,43 @@ class Population:
         save_weights(path, tensors, {"kind": kind, "env_id": self.env_id, **architecture})
 
     @classmethod
-    def _made_of(cls, tensors: dict[str, Tensor], expected: int, path: Any, **fields: Any) -> Self:
-        """Return the population of a file, whose weights must be `expected` for each member."""
-        params = tensors["params"].float()  # Shipped experts' may be in half precision.
-        if params.shape[1:] != (expected,):
-            raise ValueError(f"{path}: weights {tuple(params.shape)}, expected (S, {expected})")
-        normaliser = Normaliser(tensors["mean"], tensors["std"])
-        return cls(**(fields | {"params": params, "normaliser": normaliser}))
+    def load(cls, path: str | PathLike) -> Self:
+        """Read what `save` wrote, see `load_weights`; ValueError if that is not whole.
+
+        A file is data: its `env_id` loses the module, which only a user may name (`envs.spec`).
+        """
+        kind = cls.__name__.lower()
+        tensors, about = load_weights(path, kind)
+        try:
+            members, obs_dim = max(1, len(tensors["params"])), tensors["mean"].shape[-1]
+            num_params, sees, architecture = cls._read(about, obs_dim)
+            scale = members, 1, sees
+            for name, shape in (("params", (members, num_params)), ("mean", scale), ("std", scale)):
+                found = tensors[name]
+                # Shipped experts' weights may be in half precision.
+                if found.shape != shape or found.dtype not in (torch.float32, torch.float16):
+                    what = f"{found.dtype} of shape {tuple(found.shape)}"
+                    raise ValueError(f"{name} is {what}; expected torch.float32 of shape {shape}")
+                if not found.isfinite().all() or (name == "std" and found.min() <= 0):
+                    raise ValueError(f"{name} must be finite, and std above 0")
+            env_id = checked("env_id", about["env_id"], str).rpartition(":")[2]
+        except (ValueError, LookupError, TypeError) as error:
+            why = f"it has no {error}" if isinstance(error, KeyError) else error
+            raise ValueError(f"{path} describes no {kind}: {why}") from error
+        params, *normaliser = (tensors[name].float() for name in ("params", "mean", "std"))
+        fields = {"env_id": env_id, "params": params, "normaliser": Normaliser(*normaliser)}
+        return cls(**(architecture | fields))
+
+    @classmethod
+    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
+        """Return P, O and the architecture, where the file's scaling is of `obs_dim` numbers."""
+        raise NotImplementedError
+
+    def _require(self, name: str, given: Tensor, *last: int) -> None:
+        """Raise ValueError unless an argument is (S, B, ...), `last` axes as given, and float."""
+        axes, dtype = tuple(getattr(given, "shape", ())), self.params.dtype
+        like = isinstance(given, Tensor) and given.dtype == dtype and len(axes) == 3
+        if not like or axes[0] not in (1, len(self)) or axes[3 - len(last) :] != last:
+            found = f"{getattr(given, 'dtype', type(given).__name__)} of shape {axes}"
+            wanted = (len(self), "B", "O")[: 3 - len(last)] + last
+            raise ValueError(f"{name} is {found}; expected {dtype} of shape {wanted}")

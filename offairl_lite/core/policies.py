@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from offairl_lite.config import PPOConfig, SACConfig, TD3Config
-from offairl_lite.core.networks import Normaliser, Population, StackedMLP, load_weights
+from offairl_lite.config.settings import Count, Sizes
+from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
@@ -54,9 +55,9 @@ def defensive_log_density(log_prob: Vector, uniform_share: float, action_dim: in
 class Actor:
     """What all actors have in common: an architecture with `hidden` layers."""
 
-    obs_dim: int
-    action_dim: int
-    hidden: tuple[int, ...]
+    obs_dim: Count
+    action_dim: Count
+    hidden: Sizes
 
     outputs: ClassVar[int] = 1
     """Outputs of the network for each dimension of the action."""
@@ -149,9 +150,9 @@ class MultiplicativeGaussian(SquashedGaussian):
     stacked product; the gate is a network of its own.
     """
 
-    primitives: int = 4
-    primitive_hidden: tuple[int, ...] = (256,)
-    gate_hidden: tuple[int, ...] = (512, 256, 256)
+    primitives: Count = 4
+    primitive_hidden: Sizes = (256,)
+    gate_hidden: Sizes = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
     """How the gate's outputs become weights w > 0. `softmax`: they add up to 1, and one primitive
     alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself; `softplus`: each
@@ -269,6 +270,7 @@ class Policy(Population):
     @torch.no_grad()
     def act(self, obs: Obs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given."""
+        self._require("obs", obs, self.actor.obs_dim)
         obs = self.normaliser(obs)
         if noise is None:
             return self.actor.mode(self.params, obs)
@@ -279,18 +281,15 @@ class Policy(Population):
         self._write(path, "policy", actor={"name": type(self.actor).__name__, **asdict(self.actor)})
 
     @classmethod
-    def load(cls, path: str | PathLike) -> "Policy":
-        """Read what `save` wrote, see `load_weights`; ValueError if the actor is not known."""
-        tensors, about = load_weights(path, "policy")
-        shape: dict[str, Any] = about["actor"]
-        shape |= {name: tuple(x) for name, x in shape.items() if isinstance(x, list)}
+    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
+        shape, known = dict(about["actor"]), _actors()
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.
-        name, known = shape.pop("name"), _actors()
+        name = shape.pop("name")
         if name not in known:
             raise ValueError(
-                f"{path}: the actor is {name!r}; expected one of {', '.join(known)}. For the actor "
+                f"the actor is {name!r}; expected one of {', '.join(known)}. For the actor "
                 "of an ablation, import offairl_lite.ablations first"
             )
-        actor = known[name](**shape)
-        return cls._made_of(tensors, actor.num_params, path, env_id=about["env_id"], actor=actor)
+        actor = known[name](**(shape | fields_of(known[name], shape)))
+        return actor.num_params, actor.obs_dim, {"actor": actor}

@@ -7,13 +7,14 @@ $r(s, a) - \log \pi$, so that each step's share of it is log odds, too.
 
 from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch.nn.functional import logsigmoid
 
+from offairl_lite.config.settings import checked
 from offairl_lite.core.absorbing import fit
-from offairl_lite.core.networks import Normaliser, Population, StackedMLP, load_weights
+from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
 
@@ -72,8 +73,9 @@ class Reward(Population):
         """Return r of the task's observations, also without the absorbing state's indicator.
 
         A reward of the state alone needs no actions, which are scaled to [-1, 1]. ValueError if
-        they are missing, or observations are of another size.
+        they are missing, or either are of another size or type.
         """
+        self._require("obs", obs)
         size = self.normaliser.mean.shape[-1]
         x = self.normaliser(fit(obs, size, f"the reward of {self.env_id}"))
         if not self.state_only:
@@ -81,6 +83,7 @@ class Reward(Population):
                 raise ValueError(
                     f"the reward of {self.env_id} is r(s, a): give it the actions, too"
                 )
+            self._require("action", action, x.shape[1], self.net.sizes[0] - size)
             x = torch.cat([x, action], -1)
         return self.net(self.params, x).squeeze(-1)
 
@@ -89,9 +92,10 @@ class Reward(Population):
         self._write(path, "reward", state_only=self.state_only, **asdict(self.net))
 
     @classmethod
-    def load(cls, path: str | PathLike) -> "Reward":
-        """Read what `save` wrote; see `load_weights`. ValueError if the weights do not fit."""
-        tensors, about = load_weights(path, "reward")
-        net = StackedMLP(tuple(about["sizes"]), about["activation"])
-        fields = {"env_id": about["env_id"], "net": net, "state_only": about["state_only"]}
-        return cls._made_of(tensors, net.num_params, path, **fields)
+    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
+        net = StackedMLP(**fields_of(StackedMLP, about))
+        state_only = checked("state_only", about["state_only"], bool)
+        fits = net.sizes[0] == obs_dim if state_only else net.sizes[0] > obs_dim
+        if len(net.sizes) < 2 or net.sizes[-1] != 1 or not fits:
+            raise ValueError(f"{net.sizes=} and {state_only=}, for observations of {obs_dim}")
+        return net.num_params, obs_dim, {"net": net, "state_only": state_only}

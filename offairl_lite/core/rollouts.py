@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from offairl_lite import envs
+from offairl_lite.config.settings import Count, NonNegativeInt, checked
 from offairl_lite.core.absorbing import fit
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
@@ -56,6 +57,8 @@ def episode_seeds(
     `purpose` keeps the episodes of, say, an evaluation apart from those of a data set. `first` is
     the number of the first episode.
     """
+    checked("episodes", episodes, Count)
+    seeds = checked("seeds", [*seeds] if np.ndim(seeds) else seeds, tuple[NonNegativeInt, ...])
     return [
         int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
         for seed in seeds
@@ -88,15 +91,20 @@ def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.
     """Return what a one-member policy does: its mode, in the units of the task.
 
     `obs` is an observation as the task itself gives it. `space` is that of the task's actions,
-    `env.action_space`, whose bounds a policy knows as -1 and 1.
+    `env.action_space`, whose bounds a policy knows as -1 and 1. It is never NaN, but a ValueError.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
     require_actions(policy, space)
-    x = torch.as_tensor(obs, dtype=torch.float32, device=policy.params.device)
+    given = np.asarray(obs)
+    if given.ndim != 1 or given.dtype.kind not in "biuf":
+        raise ValueError(f"obs is {obs!r}; expected numbers of shape ({policy.actor.obs_dim},)")
+    x = torch.as_tensor(given, dtype=torch.float32, device=policy.params.device)
     unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
-    scaled = (space.low + (unit + 1) / 2 * (space.high - space.low)).astype(space.dtype)
-    return np.clip(scaled, space.low, space.high)  # which rounding may leave
+    scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
+    if not (x.isfinite().all() and np.isfinite(scaled).all()):
+        raise ValueError(f"obs is {obs}, and the action {scaled}; expected finite numbers")
+    return np.clip(scaled.astype(space.dtype), space.low, space.high)  # which rounding may leave
 
 
 def rollout(
@@ -125,10 +133,10 @@ def rollout(
         NotFiniteError: an observation or a reward of the task is not finite.
         ValueError: seeds, policy and task do not fit, or an episode does not end.
     """
+    each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):
         raise ValueError(f"{len(seeds)} seeds for a policy of {len(policy)} members")
     shape, device = (len(policy), episodes), policy.params.device
-    each = episode_seeds(seeds, episodes, purpose, first)
     env = envs.make(env_id, len(each), each, num_threads=num_threads)
     limit = envs.spec(env_id).max_episode_steps or LONGEST
     # A generator for each episode: its noise is the same however many episodes there are.

@@ -20,6 +20,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box, Space
 from gymnasium.vector import AutoresetMode
 
+from offairl_lite.config.settings import Count, checked
 from offairl_lite.envs.batched import BatchedEnv, member_seeds
 from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
@@ -60,12 +61,13 @@ class SingleEnv(gymnasium.Env):
 def spec(env_id: str) -> EnvSpec:
     """Return the registered specification of a task; for `my_module:MyTask-v0`, import the module.
 
-    Raises ModuleNotFoundError, or a ValueError that lists the tasks there are.
+    Raises ModuleNotFoundError, TaskError, or a ValueError that lists the tasks there are.
     """
-    module, _, name = env_id.rpartition(":")
+    module, _, name = checked("env_id", env_id, str).rpartition(":")
     try:
         if module:
-            importlib.import_module(module)
+            with own_code(env_id, "module"):
+                importlib.import_module(module)
         return gymnasium.spec(name)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
@@ -77,22 +79,24 @@ def spec(env_id: str) -> EnvSpec:
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
             "registered with Gymnasium: register your own with "
             "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
-            "module that registers it, --env-id my_module:MyTask-v0"
+            "module that registers it, --env-id my_module:MyTask-v0 (no module is imported only "
+            "because a policy's file names it)"
         ) from error
 
 
-def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> Box:
-    """Return a task's action space; ValueError unless both spaces are boxes with one axis.
+def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
+    """Return a task's spaces; ValueError unless both are boxes with one axis.
 
     The action space must consist of floats with finite bounds, low < high.
     """
     for name, space in (("observation", observation_space), ("action", action_space)):
-        if not isinstance(space, Box) or len(space.shape) != 1:
+        if not isinstance(space, Box) or len(space.shape) != 1 or 0 in space.shape:
             raise ValueError(
                 f"{env_id}: the {name} space {space} is not supported; observations and actions "
-                "must each be a gymnasium.spaces.Box with one axis (see "
+                "must each be a gymnasium.spaces.Box with one axis, not empty (see "
                 "gymnasium.wrappers.FlattenObservation)"
             )
+    assert isinstance(observation_space, Box)
     assert isinstance(action_space, Box)
     if not np.issubdtype(action_space.dtype, np.floating):
         raise ValueError(
@@ -107,7 +111,7 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
             f"{env_id}: the bounds of every action must differ, low < high, but in {action_space} "
             "they do not; leave actions that cannot be chosen out of the space"
         )
-    return action_space
+    return observation_space, action_space
 
 
 def make(
@@ -135,11 +139,15 @@ def make(
         render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
 
     Raises:
-        ValueError: there is not one seed per member; or see `spec` and `require_boxes`.
+        ValueError: an argument is not as above; or see `spec` and `require_boxes`.
         TaskError: the task's own code has failed.
     """
+    for name, count in (("population", population), ("num_threads", num_threads)):
+        checked(name, count, Count)
     seeds = member_seeds(seed, population)
-    if env_id in TASKS:
+    if None in seeds:
+        raise ValueError(f"seed is {seed}; expected a number, or one for each of {population}")
+    if checked("env_id", env_id, str) in TASKS:
         return BatchedEnv(
             env_id,
             population,
@@ -153,7 +161,7 @@ def make(
     options: dict = {} if render_mode is None else {"render_mode": render_mode}
     with own_code(env_id, "making"):
         members = [gymnasium.make(env_id, **options) for _ in seeds]
-    units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
+    _, units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
     return SerialEnv(members, units, seeds)
 
 

@@ -1,7 +1,6 @@
 """All members of one task, stepped together by MuJoCo on native threads."""
 
 from collections.abc import Sequence
-from operator import index
 
 import gymnasium
 import mujoco
@@ -12,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from mujoco.batch import Batch
 
+from offairl_lite.config.settings import Count, NonNegativeInt, checked
 from offairl_lite.envs.raycast import render
 from offairl_lite.envs.tasks import TASKS, Physics
 
@@ -58,8 +58,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     ):
         if task not in TASKS:
             raise ValueError(f"unknown task {task!r}; known are {', '.join(TASKS)}")
-        if num_envs < 1 or num_threads < 1:
-            raise ValueError(f"{num_envs=} and {num_threads=} must both be at least 1")
+        for name, count in (("num_envs", num_envs), ("num_threads", num_threads)):
+            checked(name, count, Count)
         if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
             raise ValueError(f"autoreset_mode must be NEXT_STEP or DISABLED, not {autoreset_mode}")
         if render_mode not in (None, "rgb_array"):
@@ -118,7 +118,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         a member that is reset by this step, the reward is 0 and both are False. It is a ValueError
         if `actions` are not finite, and in mode DISABLED a RuntimeError to step a finished member.
         """
-        actions, idle = self._checked(actions), self._idle
+        actions, idle = checked_actions(actions, self), self._idle
         if self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
             require_episodes(idle)
         before, running = self._physics, np.flatnonzero(~idle)
@@ -166,20 +166,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         mujoco.mj_kinematics(self._model, data)
         return render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera)
 
-    def _checked(self, actions) -> np.ndarray:
-        actions, shape = np.asarray(actions), self.action_space.shape
-        if actions.shape != shape or actions.dtype.kind not in "fiu":
-            raise ValueError(
-                f"actions must be numbers of shape {shape}, "
-                f"not {actions.dtype} of shape {actions.shape}"
-            )
-        for member, joint in np.argwhere(~np.isfinite(actions)):
-            raise ValueError(
-                f"member {member}: action[{joint}] is {actions[member, joint]}; "
-                f"actions must be finite, within {self.single_action_space}"
-            )
-        return actions
-
     def _start(self, members: np.ndarray) -> None:
         """Start new episodes of some members, with draws from their own generators."""
         self._batch.reset(members, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -212,14 +198,32 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._observations = self.task.observe(self._physics)
 
 
+def checked_actions(actions: np.ndarray, env: gymnasium.vector.VectorEnv) -> np.ndarray:
+    """Return the actions of all members; ValueError unless they fit the space and are finite."""
+    actions, shape = np.asarray(actions), env.action_space.shape
+    if actions.shape != shape or actions.dtype.kind not in "fiu":
+        raise ValueError(
+            f"actions must be numbers of shape {shape}, "
+            f"not {actions.dtype} of shape {actions.shape}"
+        )
+    for member, joint in np.argwhere(~np.isfinite(actions)):
+        raise ValueError(
+            f"member {member}: action[{joint}] is {actions[member, joint]}; "
+            f"actions must be finite, within {env.single_action_space}"
+        )
+    return actions
+
+
 def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
     """Return a seed or None for each member: s + i for a number s, or the sequence itself."""
     if seed is None:
         return [None] * num_envs
-    seeds = [seed + i for i in range(num_envs)] if isinstance(seed, int | np.integer) else seed
-    if num_envs < 1 or len(seeds) != num_envs:
-        raise ValueError(f"expected one seed for each of {num_envs} members, got {seeds}")
-    return [None if seed is None else index(seed) for seed in seeds]
+    if not isinstance(seed, Sequence | np.ndarray):
+        first = checked("seed", seed, NonNegativeInt)
+        return [first + i for i in range(num_envs)]
+    if len(seed) != num_envs:
+        raise ValueError(f"expected one seed for each of {num_envs} members, got {seed}")
+    return [checked("seed", one, NonNegativeInt | None) for one in seed]
 
 
 def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from gymnasium.wrappers.utils import rescale_box
 
 from offairl_lite.envs.batched import (
     Step,
+    checked_actions,
     generator_words,
     member_seeds,
     require_episodes,
@@ -86,7 +87,7 @@ class SerialEnv(SyncVectorEnv):
     def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step, as `BatchedEnv.step`; TaskError if the task fails."""
         require_episodes(self._idle)
-        self._actions.append(np.array(actions, self._units.dtype))
+        self._actions.append(checked_actions(actions, self).astype(self._units.dtype))
         ends = [self._advance(i, action) for i, action in enumerate(self._actions[-1])]
         rewards, terminated, truncated = zip(*ends, strict=True)
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
@@ -153,11 +154,12 @@ class SerialEnv(SyncVectorEnv):
         scaled = self._in_units(action).astype(action.dtype)
         with own_code(self, "step"):
             step = self.envs[i].step(np.clip(scaled, self._units.low, self._units.high))
-            self._observe(i, step[0])
-        _, reward, terminated, truncated, _ = step
+            obs, reward, terminated, truncated, _ = step
+            self._observe(i, obs)
+            ends = float(reward), bool(terminated), bool(truncated)
         self._clock[i] += 1
         self._idle[i] = terminated or truncated
-        return float(reward), bool(terminated), bool(truncated)
+        return ends
 
     def _observe(self, i: int, observation: np.ndarray) -> None:
         """Keep a member's observation; ValueError if it does not fit the space."""

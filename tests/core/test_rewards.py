@@ -117,5 +117,5 @@ def test_a_reward_of_state_and_action_needs_both():
 def test_a_file_with_weights_of_another_shape_is_no_reward(tmp_path):
     reward = frozen()
     replace(reward, params=reward.params[:, 1:]).save(tmp_path / "cut")
-    with pytest.raises(ValueError, match=r"cut: weights \(2, \d+\), expected \(S, \d+\)"):
+    with pytest.raises(ValueError, match=r"cut .*: params is .* \(2, \d+\); expected "):
         Reward.load(tmp_path / "cut")
