@@ -99,7 +99,7 @@ def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.
     given = np.asarray(obs)
     if given.ndim != 1 or given.dtype.kind not in "biuf":
         raise ValueError(f"obs is {obs!r}; expected numbers of shape ({policy.actor.obs_dim},)")
-    x = torch.as_tensor(given, dtype=torch.float32, device=policy.params.device)
+    x = torch.tensor(given, dtype=torch.float32, device=policy.params.device)
     unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
     scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
     if not (x.isfinite().all() and np.isfinite(scaled).all()):
