@@ -83,15 +83,18 @@ def write(
 
 
 def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
-    """Return recording i as Minari's episode, in the task's types; an error if they are others."""
+    """Return recording i as Minari's episode, in the task's types where it has them."""
     obs, action, terminated, reward = recording
     checked("terminated", terminated, bool)
     steps = len(np.atleast_1d(action))
     reward = np.zeros(steps) if reward is None else reward
     arrays = []
     for part, dtype in ((obs, seen.dtype), (action, units.dtype), (reward, float)):
-        with np.errstate(over="ignore"):  # What is too large becomes infinite, and is found.
-            arrays.append(np.asarray(part).astype(dtype, casting="same_kind"))
+        array = np.asarray(part)
+        if np.can_cast(array.dtype, dtype, "same_kind"):
+            with np.errstate(over="ignore"):  # What is too large becomes infinite, and is found.
+                array = array.astype(dtype)
+        arrays.append(array)
     last = np.arange(steps) == steps - 1
     return EpisodeBuffer(i, None, None, *arrays, last & terminated, last & (not terminated))
 

@@ -23,8 +23,7 @@ def frames(
     """Return frames, `every` so many steps, of one episode in which a policy takes its mode.
 
     It is a ValueError if the policy has more than one member (take `policy.member(i)`) or does not
-    fit the task, if the task does not render frames, as the package's own tasks do, or if
-    `max_steps` or `every` is below 1.
+    fit the task, if that does not render frames, as the package's own do, or a count is below 1.
     """
     for name, count in (("max_steps", max_steps), ("every", every)):
         checked(name, count, Count)

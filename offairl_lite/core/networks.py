@@ -228,11 +228,9 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_weights` wrote.
+    """Read what `save_weights` wrote; FileNotFoundError if there is no such file.
 
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is no safetensors file, or damaged, or one of another `about["kind"]`.
+    It is a ValueError if it is damaged, or another file, or one of another `about["kind"]`.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")

@@ -80,9 +80,7 @@ class Reward(Population):
         x = self.normaliser(fit(obs, size, f"the reward of {self.env_id}"))
         if not self.state_only:
             if action is None:
-                raise ValueError(
-                    f"the reward of {self.env_id} is r(s, a): give it the actions, too"
-                )
+                raise ValueError(f"reward of {self.env_id} is r(s, a): give it the actions, too")
             self._require("action", action, x.shape[1], self.net.sizes[0] - size)
             x = torch.cat([x, action], -1)
         return self.net(self.params, x).squeeze(-1)

@@ -219,8 +219,7 @@ def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list
     if seed is None:
         return [None] * num_envs
     if not isinstance(seed, Sequence | np.ndarray):
-        first = checked("seed", seed, NonNegativeInt)
-        return [first + i for i in range(num_envs)]
+        return [checked("seed", seed, NonNegativeInt) + i for i in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"expected one seed for each of {num_envs} members, got {seed}")
     return [checked("seed", one, NonNegativeInt | None) for one in seed]

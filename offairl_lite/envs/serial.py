@@ -95,10 +95,8 @@ class SerialEnv(SyncVectorEnv):
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything that later steps depend on, as arrays for `set_state`.
 
-        The episode of a member has the last `clock` rows of `actions`.
-
-        Raises:
-            ValueError: a member's `np_random` is not a PCG64 generator.
+        The episode of a member has the last `clock` rows of `actions`. It is a ValueError if a
+        member's `np_random` is not a PCG64 generator.
         """
         actions = np.array(self._actions, self._units.dtype)
         return {
@@ -113,9 +111,8 @@ class SerialEnv(SyncVectorEnv):
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue exactly from a state that `get_state` returned, here or in another environment.
 
-        Raises:
-            ValueError: the state is of another task or number of members; or the episodes come out
-                differently when they are played again, and the environment must then be reset.
+        It is a ValueError if the state is of another task or number of members; or if the episodes
+        come out differently when they are played again, and the environment must then be reset.
         """
         like, steps = self.get_state(), np.shape(state.get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)
