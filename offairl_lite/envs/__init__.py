@@ -79,7 +79,7 @@ def spec(env_id: str) -> EnvSpec:
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
             "registered with Gymnasium: register your own with "
             "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
-            "module that registers it, --env-id my_module:MyTask-v0 (a policy file's is not imported)"
+            "module that registers it, --env-id my_module:MyTask-v0 (a file's is not imported)"
         ) from error
 
 

@@ -285,7 +285,9 @@ def evil(tmp_path, monkeypatch):
     ],
 )
 def test_a_file_s_module_is_not_imported(refused, evil, use):
-    words = "unknown environment 'Evil-v0'...--env-id my_module:MyTask-v0 (a policy file's is not imported)"
+    words = (
+        "unknown environment 'Evil-v0'...--env-id my_module:MyTask-v0 (a file's is not imported)"
+    )
     refused(lambda: use(evil), words)
     assert "evil" not in sys.modules
 
