@@ -18,7 +18,7 @@ from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite import envs, minari_storage
-from offairl_lite.config.settings import Count, NonNegativeInt, Range, checked
+from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
 from offairl_lite.core.rollouts import Episodes, require_actions, rollout
@@ -88,7 +88,7 @@ class Demonstrations:
                 f"{len(self)}, or a list of different ones from 0 to {len(self) - 1}"
             )
         checked("every", every, Count)
-        checked("seed", seed, NonNegativeInt)
+        checked("seed", seed, Natural)
         ends = np.cumsum(self.lengths)
         kept = []
         for i in chosen:
@@ -206,8 +206,8 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
     envs.spec(env_id)  # Refuses an unknown task before experts are looked for.
     policy = expert(env_id)
     if experts is not None:
-        checked("experts", experts, Annotated[int, Range(1, len(policy))])
-        policy = policy.member(*range(experts))
+        there = Annotated[int, f"in [1, {len(policy)}]", lambda n: n <= len(policy)]
+        policy = policy.member(*range(checked("experts", experts, there)))
     digest = _digest(expert_file(env_id).read_bytes())[:8]
     some = "" if experts is None else f"-first-{experts}"
     dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}{some}-{trajectories}-v0"

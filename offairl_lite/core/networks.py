@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_type_hints
 
 import torch
 from jaxtyping import Float
@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from offairl_lite.config.settings import Range, Sizes, checked, settings
+from offairl_lite.config.settings import Sizes, checked
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Obs, Params, Scalar, TwinParams, TwinQ, Vector
 
@@ -248,13 +248,15 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
 
 def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
     """Return what metadata say of a dataclass; ValueError if a field is of another type."""
-    known = settings(kind).items()
+    known = get_type_hints(kind, include_extras=True).items()
     return {name: checked(name, about[name], hint) for name, hint in known if name in about}
 
 
 class Population:
     """Trained networks of `S` members: what a `Policy` and a `Reward` have in common."""
 
+    _read: ClassVar[Callable[[dict[str, Any], int], tuple[int, int, dict[str, Any]]]]
+    """Gives P, O and the architecture that metadata describe, with a scaling of so many numbers."""
     env_id: str
     params: Params
     normaliser: Normaliser
@@ -264,7 +266,7 @@ class Population:
 
     def member(self, *index: int) -> Self:
         """Return the population of these members alone; ValueError if there is none of a number."""
-        there = Annotated[int, Range(0, len(self) - 1)]
+        there = Annotated[int, f"in [0, {len(self) - 1}]", lambda i: 0 <= i < len(self)]
         chosen = [checked("member", i, there) for i in index or (None,)]
         return self._each(lambda tensor: tensor[chosen])
 
@@ -310,11 +312,6 @@ class Population:
         params, *normaliser = (tensors[name].float() for name in ("params", "mean", "std"))
         fields = {"env_id": env_id, "params": params, "normaliser": Normaliser(*normaliser)}
         return cls(**(architecture | fields))
-
-    @classmethod
-    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
-        """Return P, O and the architecture, where the file's scaling is of `obs_dim` numbers."""
-        raise NotImplementedError
 
     def _require(self, name: str, given: Tensor, *last: int) -> None:
         """Raise ValueError unless an argument is (S, B, ...), `last` axes as given, and float."""

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from offairl_lite.config import PPOConfig, SACConfig, TD3Config
-from offairl_lite.config.settings import Count, Sizes
+from offairl_lite.config.settings import Count, Interval, Sizes
 from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
@@ -89,7 +89,7 @@ class Actor:
 class SquashedGaussian(Actor):
     """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C)."""
 
-    log_std_range: tuple[float, float] = (-5.0, 2.0)
+    log_std_range: Interval = (-5.0, 2.0)
     """Bounds of log σ."""
 
     outputs = 2
@@ -280,8 +280,8 @@ class Policy(Population):
         """Write the population to a safetensors file."""
         self._write(path, "policy", actor={"name": type(self.actor).__name__, **asdict(self.actor)})
 
-    @classmethod
-    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
+    @staticmethod
+    def _read(about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
         shape, known = dict(about["actor"]), _actors()
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.

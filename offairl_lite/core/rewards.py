@@ -89,8 +89,8 @@ class Reward(Population):
         """Write the population to a safetensors file."""
         self._write(path, "reward", state_only=self.state_only, **asdict(self.net))
 
-    @classmethod
-    def _read(cls, about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
+    @staticmethod
+    def _read(about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
         net = StackedMLP(**fields_of(StackedMLP, about))
         state_only = checked("state_only", about["state_only"], bool)
         fits = net.sizes[0] == obs_dim if state_only else net.sizes[0] > obs_dim

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.config.settings import Count, NonNegativeInt, checked
+from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.absorbing import fit
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
@@ -58,7 +58,7 @@ def episode_seeds(
     the number of the first episode.
     """
     checked("episodes", episodes, Count)
-    seeds = checked("seeds", [*seeds] if np.ndim(seeds) else seeds, tuple[NonNegativeInt, ...])
+    seeds = checked("seeds", [*seeds] if np.ndim(seeds) else seeds, tuple[Natural, ...])
     return [
         int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
         for seed in seeds

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from mujoco.batch import Batch
 
-from offairl_lite.config.settings import Count, NonNegativeInt, checked
+from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.envs.raycast import render
 from offairl_lite.envs.tasks import TASKS, Physics
 
@@ -219,10 +219,10 @@ def member_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list
     if seed is None:
         return [None] * num_envs
     if not isinstance(seed, Sequence | np.ndarray):
-        return [checked("seed", seed, NonNegativeInt) + i for i in range(num_envs)]
+        return [checked("seed", seed, Natural) + i for i in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"expected one seed for each of {num_envs} members, got {seed}")
-    return [checked("seed", one, NonNegativeInt | None) for one in seed]
+    return [checked("seed", one, Natural | None) for one in seed]
 
 
 def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:

@@ -212,6 +212,11 @@ def actor(**changes):
         (Policy, actor(hidden=[10**12]), "params is torch.float32 of shape (2, ...expected"),
         (Policy, actor(log_std_range=[0.0]), "log_std_range is [0.0]; expected 2 numbers"),
         (Policy, actor(log_std_range=["a", "b"]), "log_std_range is ['a', 'b']; expected 2 num"),
+        (
+            Policy,
+            actor(log_std_range=[2, -5]),
+            "log_std_range is [2, -5]; expected 2 numbers in asc",
+        ),
         (Policy, actor(log_std_range=[0, float("nan")]), "log_std_range is [0, nan]; expected 2"),
         (
             Policy,
