@@ -223,8 +223,7 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
         for step, i in np.argwhere(outside(array, space))[:1]:
             found = f"{array[step, i]:.6g} in step {step}"
             expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", found)
-    ended = np.asarray([episode.terminations, episode.truncations], bool)
-    ends = np.flatnonzero(ended.any(0))
+    ends = np.flatnonzero(np.any([episode.terminations, episode.truncations], 0))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
     expect(ends.tolist() == [steps - 1], expected, f"ends at {ends.tolist()}")
 

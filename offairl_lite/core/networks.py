@@ -255,8 +255,8 @@ def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
 class Population:
     """Trained networks of `S` members: what a `Policy` and a `Reward` have in common."""
 
-    _read: ClassVar[Callable[[dict[str, Any], int], tuple[int, int, dict[str, Any]]]]
-    """Gives P, O and the architecture that metadata describe, with a scaling of so many numbers."""
+    _read: ClassVar[Any]
+    """Returns P, O and the architecture, of a file's metadata and of the width of its scaling."""
     env_id: str
     params: Params
     normaliser: Normaliser
