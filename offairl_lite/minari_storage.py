@@ -221,7 +221,7 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
     for part, space in spaces.items():
         array = getattr(episode, part)
         for step, i in np.argwhere(outside(array, space))[:1]:
-            found = f"{array[step, i]:.6g} in step {step}"
+            found = f"{array[step, i]:.6g} in step {step}: mend it, or the task's space"
             expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", found)
     ends = np.flatnonzero(np.any([episode.terminations, episode.truncations], 0))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
