@@ -6,7 +6,6 @@ one, the discriminator update is skipped. PPO uses the same loop, but learns fro
 instead of replay.
 """
 
-import operator
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -20,6 +19,7 @@ from tqdm.auto import tqdm
 
 from offairl_lite import envs
 from offairl_lite.config import Config, Schedule
+from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of, remedy
@@ -35,7 +35,7 @@ from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Metrics
-from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 
 
 class Trainer:
@@ -68,14 +68,16 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        seeds = tuple(map(operator.index, seeds))  # Plain integers, also of an array.
+        self.seeds: tuple[int, ...] = checked("seeds", tuple(seeds), tuple[Natural, ...])
         inherited = Inherited(frozen_reward, pretrained_policy, guide)
-        require_inputs(config, seeds, demonstrations, inherited)
-        self.config, self.schedule, self.seeds = config, config.schedule, seeds
+        require_inputs(config, self.seeds, demonstrations, inherited)
+        self.config, self.schedule = config, config.schedule
         self.execution, self.device = execution, torch.device(execution.device)
         torch.set_num_threads(execution.threads)
-        env = envs.make(config.env_id, len(seeds), seeds, num_threads=execution.threads)
+        env = envs.make(config.env_id, len(self.seeds), self.seeds, num_threads=execution.threads)
         self.dims = require_fit(config, env, inherited)
+        if demonstrations is not None:
+            require_demonstrations(demonstrations, env)
         self.horizon = episode_length(config, demonstrations)
         self.inherited = inherited.to(self.device)
         self.demonstrations: Batch | None = None
@@ -84,9 +86,11 @@ class Trainer:
             if self.schedule.absorbing != "none":
                 shown = absorbing.with_absorbing_states(shown)
             self.demonstrations = Batch(*(part.to(self.device) for part in shown))
-        self.rng, self.members = Rng(seeds, self.device), Members(seeds)
+        self.rng, self.members = Rng(self.seeds, self.device), Members(self.seeds)
         size, slots = self.schedule.replay_size, replay_slots(self.schedule, memory)
-        replay = Replay(len(seeds), size, *self.dims, self.device, file=replay_file, slots=slots)
+        replay = Replay(
+            len(self.seeds), size, *self.dims, self.device, file=replay_file, slots=slots
+        )
         guide = self.inherited.guide
         self.collector = Collector(config, env, replay, self.rng, self.members, guide)
         self.models: Models | None = None

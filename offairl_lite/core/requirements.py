@@ -34,6 +34,12 @@ def require_inputs(
     inherited: Inherited,
 ) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
+    kinds = {"config": Config, "demonstrations": Demonstrations, "frozen_reward": Reward}
+    kinds |= {"pretrained_policy": Policy, "guide": Policy}
+    all_given = config, demonstrations, *inherited
+    for (name, kind), given in zip(kinds.items(), all_given, strict=True):
+        if not isinstance(given, kind) and (given is not None or name == "config"):
+            raise ValueError(f"{name} is {given!r}; expected a {kind.__name__}")
     if not seeds:
         raise ValueError("no seeds: give one for each member of the population")
     if len(set(seeds)) < len(seeds):
