@@ -101,6 +101,10 @@ def film(
     pictures = []
     for i in range(num_frames):
         draw(i)
+        if i == 0:  # The layout settles, and stays for all pictures.
+            for _ in range(5):
+                fig.canvas.draw()
+            fig.set_layout_engine("none")
         fig.canvas.draw()
         pictures.append(
             np.asarray(fig.canvas.buffer_rgba())[..., :3].copy()
