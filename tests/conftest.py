@@ -4,6 +4,7 @@ Below them, what several modules' tests start from: tiny runs and random demonst
 """
 
 import json
+import signal
 import time
 from pathlib import Path
 
@@ -22,6 +23,10 @@ from offairl_lite.core.policies import Policy, SquashedGaussian, unsquash
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
+
+# A shell starts in the background with Ctrl-C ignored, and the processes of tests would inherit it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser):
