@@ -143,15 +143,15 @@ def read(folder: str | PathLike) -> Run:
     seeds = [seed for one in specs.values() for seed in one.seeds]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"{folder} holds several runs of the same seeds: read one of them")
-    rows = [row for path in specs for row in _rows(path / "curve.csv")]
-    rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
-    run = Run(spec.config, tuple(seeds), rows, _results(Policy, specs), _results(Reward, specs))
+    diverged: dict[int, str] = {}
+    rows: list[Row] = []
     for path in specs:
-        if (path / "run.json").is_file():
-            about = read_state(path)
-            run.diverged |= {int(seed): why for seed, why in about["diverged"].items()}
-            require_checksum(path / "curve.csv", about.get("curve.csv"))
-    return run
+        about = read_state(path) if (path / "run.json").is_file() else {"diverged": {}}
+        diverged |= {int(seed): why for seed, why in about["diverged"].items()}
+        rows += _rows(path / "curve.csv", about.get("curve.csv"))
+    rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
+    results = _results(Policy, specs), _results(Reward, specs)
+    return Run(spec.config, tuple(seeds), rows, *results, diverged)
 
 
 def _results(kind: Any, folders: Iterable[Path]) -> Any:
@@ -160,10 +160,11 @@ def _results(kind: Any, folders: Iterable[Path]) -> Any:
     return join([kind.load(file) for file in files]) if all(map(Path.is_file, files)) else None
 
 
-def _rows(path: Path) -> list[Row]:
+def _rows(path: Path, checksum: int | None) -> list[Row]:
     """Return the rows of a curve, which its process may be writing at this moment."""
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} is no record of a run: it has no curve.csv")
+    require_checksum(path, checksum)
     try:
         text = path.read_text("utf-8")
         whole = text[: text.rfind("\n") + 1] or HEADER  # Its first line, too, may be half written.
