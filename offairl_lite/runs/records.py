@@ -29,13 +29,13 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import NoneType
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 import torch
 
 from offairl_lite import ablations  # noqa: F401  (registers their settings and actors)
 from offairl_lite.config import Config, differences
-from offairl_lite.config.settings import NonNegativeInt, checked, settings
+from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
@@ -104,9 +104,9 @@ class RunSpec:
             content = {"inherited": {}, **content}
             _require_types(content, config=dict, execution=dict, checkpoint_every=int)
             _require_types(content, seeds=list, demonstrations=dict | NoneType, inherited=dict)
-            seeds = checked("seeds", content.pop("seeds"), tuple[NonNegativeInt, ...])
+            seeds = checked("seeds", content.pop("seeds"), tuple[Natural, ...])
             for name, value in content["execution"].items():
-                checked(name, value, settings(Execution)[name])
+                checked(name, value, get_type_hints(Execution)[name])
             return cls(Config.of(**content.pop("config")), seeds, **content)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} does not describe a run: {error}") from error
