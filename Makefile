@@ -26,11 +26,12 @@ WORKERS ?= auto
 export OMP_NUM_THREADS ?= 1
 export IPYTHONDIR := $(CURDIR)/build/ipython
 
-.PHONY: help book stage html test system clean
+.PHONY: help book stage html test soak system clean
 
 help:
 	@echo 'make book    run every chapter that has changed and render the book'
 	@echo 'make test    run all checks: style, package, chapters, rendered book, browser'
+	@echo 'make soak    kill runs of all kinds at random moments, as long as you like: MINUTES=10'
 	@echo 'make system  install Chromium, which the browser checks need (Debian, Ubuntu; as root)'
 	@echo 'make clean   remove everything the commands above have made'
 
@@ -66,6 +67,10 @@ test: $(ENV)
 	$(BIN)/pytest -rs -n $(WORKERS) --dist worksteal --ignore tests/book tests $(STAGE)/book $(EXECUTE)
 	$(BIN)/pytest -rs tests/book --book $(STAGE)
 	@touch $(RUN)
+
+# Every trial names a seed, with which SOAK_SEED=... does it again.
+soak: $(ENV)
+	SOAK_MINUTES=$(or $(MINUTES),10) $(BIN)/pytest -q -s -k any_kind tests/runs/test_folders.py
 
 $(ENV): pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null \

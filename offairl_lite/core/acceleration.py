@@ -37,8 +37,8 @@ class Execution:
     onednn: bool = False
 
     def __post_init__(self) -> None:
-        if self.threads < 1:
-            raise ValueError(f"threads is {self.threads}; expected at least 1")
+        if not 1 <= self.threads <= 256:
+            raise ValueError(f"threads is {self.threads}; expected a number from 1 to 256")
         if self.device != "cpu" and not torch.cuda.is_available():
             raise ValueError(f"device is {self.device!r}, and PyTorch sees no GPU here: use cpu")
         if self.compile and self.device == "cpu" and compiler() is None:

@@ -72,7 +72,8 @@ class Options:
     rounds: int = 5
     seconds: float = 1.0
 
-    def __post_init__(self) -> None:
+    def require_positive(self) -> None:
+        """Raise ValueError unless all numbers are positive."""
         for name in ("hidden", "populations", "threads", "rounds", "seconds"):
             value = getattr(self, name)
             numbers = value if isinstance(value, tuple) else (value,)

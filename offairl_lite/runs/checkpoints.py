@@ -9,11 +9,13 @@
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from filelock import FileLock, Timeout
 from gymnasium.spaces.utils import flatdim
@@ -24,16 +26,42 @@ from offairl_lite.config import flat_settings
 from offairl_lite.core.loop import Trainer, replay_slots
 from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.replay import Replay
+from offairl_lite.runs import records
 from offairl_lite.runs.inputs import digest
-from offairl_lite.runs.records import FORMAT, RunSpec, read_json, require_format, write_whole
+from offairl_lite.runs.records import FORMAT, RunSpec, damaged
 
 CHECKPOINT, REPLAY = Path("checkpoint/checkpoint.safetensors"), Path("checkpoint/replay.f32")
 
 MARGIN = 2**23
 """Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
+Found = tuple[dict[str, Tensor], dict[str, Any]]
+"""A checkpoint: the trainer's state, and what is said about it."""
+BLOCK = 1024
+"""Places in the replay, with the rows of all members, that have one checksum."""
 
 
-def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
+class Checksums:
+    """The CRC-32 of each block of a replay's file: of rows that are held, since others may go."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.replay, self.held = replay, np.zeros((2, len(replay.added)), int)
+        self.blocks = [0] * -(-len(replay.rows) // BLOCK)
+
+    def update(self) -> list[int]:
+        """Return the checksums; only blocks in which rows have come or gone are read again."""
+        rows, added, sizes = self.replay.rows, self.replay.added, torch.tensor(self.replay.sizes)
+        slots, before = len(rows), self.held
+        self.held = torch.stack([added - sizes, added]).numpy()
+        pairs = zip(before.flat, self.held.flat, strict=True)
+        places = [np.arange(max(old, new - slots), new) % slots for old, new in pairs]
+        for block in np.unique(np.concatenate(places) // BLOCK).tolist():
+            some = rows[block * BLOCK : (block + 1) * BLOCK]
+            age = added - 1 - torch.arange(len(some)).unsqueeze(1) - block * BLOCK
+            self.blocks[block] = zlib.crc32(some[age % slots < sizes].numpy().data)
+        return self.blocks
+
+
+def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float, blocks: list[int]) -> None:
     """Keep a trainer's state. The replay file still has what the checkpoint before it needs."""
     trainer.collector.replay.flush()
     with open(folder / "curve.csv", "rb") as file:
@@ -46,21 +74,22 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float) -> None:
         "steps": trainer.steps,
         "curve.csv": (folder / "curve.csv").stat().st_size,
         "replay.f32": (folder / REPLAY).stat().st_size,
-        "ends": _ends(trainer.collector.replay),
+        "curve": zlib.crc32((folder / "curve.csv").read_bytes()),
+        "blocks": blocks,
         "wall_s": wall_s,
         "diverged": trainer.members.diverged,
     }
     about["digest"] = digest(state, about)
-    write_whole(folder / CHECKPOINT, lambda part: save_weights(part, state, about))
+    records.write_whole(folder / CHECKPOINT, lambda part: save_weights(part, state, about))
 
 
-def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """Return a run's checkpoint: the state, and what is said about it; None if there is none yet.
+def load(folder: Path, spec: RunSpec) -> Found | None:
+    """Return a run's checkpoint; None if there is none yet.
 
     FileNotFoundError says that it is gone, ValueError that it or another file is damaged, or that
     it is of another format or run, or further than the run is to go.
     """
-    path, step = folder / CHECKPOINT, read_json(folder / "run.json")["step"]
+    path, step = folder / CHECKPOINT, records.read_state(folder)["step"]
     if not path.is_file():
         if step:
             raise FileNotFoundError(
@@ -72,10 +101,10 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
         state, about = load_weights(path, "checkpoint")
         sound = about.pop("digest", None) == digest(state, about)
     except ValueError as error:
-        raise _damaged(folder, path, error) from error
-    require_format(path, about.get("format", 1))
+        raise damaged(folder, path, error) from error
+    records.require_format(path, about.get("format", 1))
     if not sound:
-        raise _damaged(folder, path, "its contents are not those that were written")
+        raise damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.
     defaults = {name: default for name, (_, default, _) in flat_settings().items()}
     was, now = json.loads(json.dumps(defaults)) | about["identity"], _identity(spec)
@@ -88,7 +117,8 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
     for file in (folder / "curve.csv", folder / REPLAY):
         found = file.stat().st_size if file.is_file() else 0
         if found < about[file.name]:
-            raise _damaged(folder, file, f"it had {about[file.name]} bytes, and has {found}")
+            raise damaged(folder, file, f"it had {about[file.name]} bytes, and has {found}")
+    records.require_checksum(folder / "curve.csv", about.get("curve"), about["curve.csv"])
     if (reached := about["steps"]) > spec.config.total_steps:
         raise ValueError(
             f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
@@ -97,20 +127,19 @@ def load(folder: Path, spec: RunSpec) -> tuple[dict[str, Tensor], dict[str, Any]
     return state, about
 
 
-def restore(
-    folder: Path, trainer: Trainer, checkpoint: tuple[dict[str, Tensor], dict[str, Any]]
-) -> None:
+def restore(folder: Path, trainer: Trainer, checkpoint: Found, checksums: Checksums) -> None:
     """Put a trainer, and the curve, where a checkpoint has them, if the replay belongs to it."""
     state, about = checkpoint
     trainer.restore(state)
-    if about["ends"] != _ends(trainer.collector.replay):
-        raise _damaged(folder, folder / REPLAY, "it is not as it was at the checkpoint")
+    now = checksums.update()
+    # An older checkpoint has no checksums. A run that is extended may have more blocks.
+    pairs = enumerate(zip(now, about.get("blocks", now), strict=False))
+    if wrong := [block for block, (here, there) in pairs if here != there]:
+        size = BLOCK * checksums.replay.rows[0].nbytes
+        where = f"{len(wrong)} of its {len(now)} blocks, the first from byte {wrong[0] * size} on"
+        raise damaged(folder, folder / REPLAY, f"{where}, are not as they were at the checkpoint")
     trainer.members.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
     os.truncate(folder / "curve.csv", about["curve.csv"])
-
-
-def _damaged(folder: Path, path: Path, why: object) -> ValueError:
-    return ValueError(f"{path} is damaged: {why}; bring all of {folder} back, or start a new run")
 
 
 def _identity(spec: RunSpec) -> dict[str, Any]:
@@ -125,14 +154,6 @@ def _identity(spec: RunSpec) -> dict[str, Any]:
     }
     del identity["total_steps"]
     return json.loads(json.dumps(identity))
-
-
-def _ends(replay: Replay) -> str:
-    """Return the SHA-256 of each member's oldest and newest row, which tells replays apart."""
-    last = replay.added - 1
-    first = replay.added - torch.tensor(replay.sizes)
-    rows = replay.rows[torch.stack([first, last]) % len(replay.rows), torch.arange(len(last))]
-    return digest({"rows": rows})
 
 
 def most_steps_between(spec: RunSpec) -> int:
@@ -178,6 +199,13 @@ def lock(folder: Path) -> Iterator[None]:
         with FileLock(folder / "checkpoint" / "lock", timeout=0):
             yield
     except Timeout:
-        raise OSError(
-            f"another process is at work on {folder}: let it finish, or stop it"
-        ) from None
+        who = _holder(folder / "checkpoint" / "lock")
+        raise OSError(f"{who} is at work on {folder}: let it finish, or stop it") from None
+
+
+def _holder(path: Path) -> str:
+    """Return which process has locked a file, where Linux says so."""
+    locks, inode = Path("/proc/locks"), f":{path.stat().st_ino} "
+    lines = locks.read_text().splitlines() if locks.exists() else []
+    pids = [line.split()[4] for line in lines if inode in line]
+    return f"process {pids[0]}" if pids else "another process"

@@ -19,7 +19,7 @@ from offairl_lite.analysis import films
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import folders, inputs, jobs, launch, records
+from offairl_lite.runs import folders, inputs, launch, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.scale import Scale, current
@@ -201,6 +201,7 @@ def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -
         options: what to measure.
         json: print numbers for a program instead of a table.
     """
+    options.require_positive()
     report = measure(options)
     print(dumps(report, indent=2) if json else table(report))
 
@@ -218,7 +219,7 @@ def main(args: Sequence[str] | None = None) -> None:
         for arg in (sys.argv[1:] if args is None else args)
         for part in (arg.split("=", 1) if arg.startswith("--") else [arg])
     ]
-    try:
+    with folders.one_line():
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
@@ -235,14 +236,9 @@ def main(args: Sequence[str] | None = None) -> None:
             "verify": verify,
             "bench": bench,
         }
-        with jobs.terminable():
-            tyro.extras.subcommand_cli_from_dict(
-                commands, prog="offairl", description=inspect.getdoc(main), args=args
-            )
-    except (ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error) as error:
-        sys.exit(f"offairl: {error}")
-    except KeyboardInterrupt:
-        sys.exit("offairl: stopped")
+        tyro.extras.subcommand_cli_from_dict(
+            commands, prog="offairl", description=inspect.getdoc(main), args=args
+        )
 
 
 if __name__ == "__main__":

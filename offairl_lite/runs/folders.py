@@ -6,14 +6,19 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
+from glob import escape
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import gymnasium
 
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Trainer, complete, train
@@ -23,12 +28,14 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs, jobs, records
-from offairl_lite.runs.records import RunSpec, origin, read_json, run_folders, write_json
+from offairl_lite.runs.records import RunSpec, origin, read_state, run_folders, write_json
 
 log = logging.getLogger(__name__)
 
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 """What `run.json` has as the state of a run that is not gone on with."""
+READING = "observation or reward is not finite"
+"""Where this is why a member was given up, it is the task that has to be mended."""
 
 
 def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
@@ -37,13 +44,21 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
     The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
     `given` is what the run has of other runs, as `inputs.load` returns it.
     """
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise FileExistsError(
-            f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
-            "for a new one choose another --out, or remove it"
-        )
-    folder = folder.resolve()
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is no folder: choose another --out")
+    taken = FileExistsError(
+        f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
+        "for a new one choose another --out, or remove it"
+    )
+    if there == folder and any(folder.iterdir()):
+        raise taken
+    there, folder = there.resolve(), folder.resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
+    for path in folder.parent.glob(f".{escape(folder.name)}.*"):
+        with suppress(FileNotFoundError):  # Who is not killed removes it, within a moment.
+            if time.time() - path.stat().st_mtime > 10:
+                shutil.rmtree(path)
     with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as hidden:
         made = Path(hidden) / "run"
         (made / "checkpoint").mkdir(parents=True)
@@ -53,12 +68,17 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
         for name, thing in given.items():
             thing.save(made / f"{name}.safetensors")
         spec.write(made)
-        if folder != Path.cwd() and not folder.is_mount():
-            os.replace(made, folder)
-        else:
-            # These cannot be replaced. A folder is a run once it has its configuration.
-            for path in sorted(made.iterdir(), key=lambda path: path.name == "config.json"):
+        try:
+            if there != folder:
+                os.replace(made, folder)
+                return
+            # It may be a mount. A folder is a run once it has its configuration.
+            for path in sorted(made.iterdir(), key=lambda path: (path.name == "config.json", path)):
                 shutil.move(path, folder)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, None):
+                raise
+            raise taken from None  # Another command has made it just now.
 
 
 def work(
@@ -106,7 +126,9 @@ def work(
 
 def is_finished(folder: Path) -> bool:
     """Return whether a run folder is at its end. Where every member has diverged, it is."""
-    return read_json(folder / "run.json")["state"] in (FINISHED, DIVERGED)
+    with suppress(ValueError):  # What is damaged is not; who goes on with it is told why.
+        return read_state(folder)["state"] in (FINISHED, DIVERGED)
+    return False
 
 
 class _Worker:
@@ -116,13 +138,16 @@ class _Worker:
         self.folder, self.spec, self.trainer = folder, spec, trainer
         # The step of the last checkpoint, and the steps and updates before it.
         self.step, self.saved, self.start = 0, 0, time.monotonic()
+        self.checksums = checkpoints.Checksums(trainer.collector.replay)
+        self.lost: set[int] = set()  # Seeds that had been given up at the checkpoint.
 
     def restore(self, found: tuple[dict[str, Any], dict[str, Any]]) -> None:
         """Go back to a checkpoint; note versions or a machine that are not those of before."""
-        checkpoints.restore(self.folder, self.trainer, found)
+        checkpoints.restore(self.folder, self.trainer, found, self.checksums)
+        self.lost = {*self.trainer.members.diverged}
         self.start -= found[1]["wall_s"]
         self.step, self.saved = self.trainer.steps, self.done
-        now, about = origin(self.trainer.execution), read_json(self.folder / "run.json")
+        now, about = origin(self.trainer.execution), read_state(self.folder)
         past = about.get("continued", [])
         if news := records.changed([about, *past][-1], now):
             if news.keys() != {"commit"}:
@@ -141,6 +166,7 @@ class _Worker:
                 complete(self.trainer, progress, self.keep)
                 state = FINISHED
             except FloatingPointError:
+                self.require_readings()
                 state = DIVERGED
             # Whoever diverges before the warm-up is over has no policy yet.
             for result in (self.trainer.policy, self.trainer.reward):
@@ -150,12 +176,20 @@ class _Worker:
                 self.checkpoint()
             self.note(state)  # Last: without this word the end may not have been written.
         except BaseException as error:
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 self.note(f"stopped: {error!r}")
+            error.add_note(f"`offairl resume {self.folder}` goes on from step {self.step}")
             raise
+
+    def require_readings(self) -> None:
+        """Raise ValueError if the task has given up a member since the last checkpoint."""
+        lost = self.trainer.members.diverged
+        if why := [lost[seed] for seed in lost if READING in lost[seed] and seed not in self.lost]:
+            raise ValueError("; ".join(why))
 
     def keep(self, rows: list[Row]) -> None:
         """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
+        self.require_readings()
         if rows:
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
@@ -170,14 +204,17 @@ class _Worker:
 
     def checkpoint(self) -> None:
         """Keep all that it takes to go on from here."""
-        checkpoints.save(self.folder, self.spec, self.trainer, time.monotonic() - self.start)
+        wall_s, blocks = time.monotonic() - self.start, self.checksums.update()
+        checkpoints.save(self.folder, self.spec, self.trainer, wall_s, blocks)
         self.step, self.saved = self.trainer.steps, self.done
         self.note("running")
 
     def note(self, state: str) -> None:
         """Write to run.json how things are."""
-        about = read_json(self.folder / "run.json")
+        about = read_state(self.folder)
         about |= {"state": state, "step": self.step, "diverged": self.trainer.members.diverged}
+        curve = (self.folder / "curve.csv").read_bytes()
+        about["curve.csv"] = zlib.crc32(curve) if state == FINISHED else None
         about["wall_s"] = round(time.monotonic() - self.start, 1)
         write_json(self.folder / "run.json", about)
 
@@ -208,7 +245,7 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
         for spec in new:
             create(folder / records.seeds_name(seeds), spec, {})
         for path, spec in specs.items():
-            about = read_json(path / "run.json")
+            about = read_state(path)
             if about["state"] == FINISHED and spec != before[path]:
                 write_json(path / "run.json", about | {"state": "waiting"})
                 for kind in (Policy, Reward):
@@ -272,13 +309,35 @@ def main() -> None:
     """Train the run folder that the command line names: `python -m offairl_lite.runs.folders`."""
     # A shell has its background jobs, and theirs, ignore what ends this process.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with one_line():
+        work(Path(sys.argv[1]), progress=False)
+
+
+def _end_with_parent() -> None:
+    """Stop, as Ctrl-C does, when the process of `jobs` that has started this one is gone."""
+    parent = int(os.environ.get("OFFAIRL_PARENT", 0))
+    while parent in (0, os.getppid()):
+        time.sleep(jobs.POLL_S)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@contextmanager
+def one_line() -> Iterator[None]:
+    """End the process with one line, in the place of a traceback, about what a user can mend."""
     try:
         with jobs.terminable():
-            work(Path(sys.argv[1]), progress=False)
-    except (ValueError, OSError, ImportError) as error:
-        sys.exit(f"offairl: {error}")
+            yield
     except KeyboardInterrupt:
         sys.exit("offairl: stopped")
+    except Exception as error:
+        known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
+        full = isinstance(error, MemoryError) or "allocate" in str(error)
+        if not full and not isinstance(error, known):
+            raise
+        cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
+        why = f"there is not enough memory: {cure}" if full else error
+        sys.exit("; ".join([f"offairl: {why}", *getattr(error, "__notes__", ())]))
 
 
 if __name__ == "__main__":

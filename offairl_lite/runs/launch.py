@@ -132,6 +132,8 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
                 f"{name} at {size} scale: name the experiment before all options"
             )
         _require_processes(processes)
+        if not seeds:
+            raise ValueError("seeds are (); expected at least one: --seeds 0 1 2")
         configs = points(own, scale, {**schedule, **learner, **discriminator}, grid, only)
         frozen = any(config.reward == "frozen" for config in configs.values())
         if frozen and own.reward_from and not given.frozen_reward:
@@ -179,6 +181,12 @@ def _create(
         if not missing[name]:
             continue
         things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
+        for what, thing in things.items():
+            one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
+            if one != other and not find(experiment).reward_from:  # These experiments mean it.
+                fits = "the numbers of observations and actions fit, and no more is checked"
+                note = f"note: the {what} is of {one}, this run of {other}; {fits}"
+                print(note.replace("_", " "), file=sys.stderr)
         if config.learns_reward:
             asked = given.trajectories, given.dataset, given.subsample, given.experts
             shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
@@ -264,7 +272,7 @@ def _finish(
     """Train run folders to their ends, one of them in this process, and show what came of it."""
     todo = [path for name in names for path in run_folders(place / name)]
     left = [path for path in todo if not folders.is_finished(path)]
-    failures = []
+    failures: list[str] = []
     try:
         if len(left) == 1 and how.get("engine", "processes") == "processes":
             folders.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
@@ -272,13 +280,14 @@ def _finish(
             failures = jobs.execute(left, **how)
     except KeyboardInterrupt:
         sys.exit(f"offairl: stopped; `offairl resume {place}` goes on")
+    if failures:
+        print(*failures, sep="\n\n", file=sys.stderr)
     runs = {name: records.read(place / name) for name in names}
     print(_table(runs))
     print(f"recorded in {place}")
     for env_id, shown in data.items():
         print(f"demonstrations of {env_id}: {shown.returns.mean():.2f}")
     if failures:
-        print(*failures, sep="\n\n", file=sys.stderr)
         raise ChildProcessError(
             f"{len(failures)} of {len(left)} jobs failed, twice: see above; `offairl resume "
             f"{place}` goes on with them"

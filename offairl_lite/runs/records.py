@@ -20,6 +20,7 @@ import json
 import os
 import platform
 import subprocess
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -27,12 +28,14 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from types import NoneType
+from typing import Any, Self, get_type_hints
 
 import torch
 
 from offairl_lite import ablations  # noqa: F401  (registers their settings and actors)
 from offairl_lite.config import Config, differences
+from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
@@ -98,8 +101,13 @@ class RunSpec:
         content = read_json(path)
         require_format(path, content.pop("format", 1))
         try:
-            config, seeds = Config.of(**content.pop("config")), tuple(content.pop("seeds"))
-            return cls(config, seeds, **content)
+            content = {"inherited": {}, **content}
+            _require_types(content, config=dict, execution=dict, checkpoint_every=int)
+            _require_types(content, seeds=list, demonstrations=dict | NoneType, inherited=dict)
+            seeds = checked("seeds", content.pop("seeds"), tuple[Natural, ...])
+            for name, value in content["execution"].items():
+                checked(name, value, get_type_hints(Execution)[name])
+            return cls(Config.of(**content.pop("config")), seeds, **content)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} does not describe a run: {error}") from error
 
@@ -135,14 +143,15 @@ def read(folder: str | PathLike) -> Run:
     seeds = [seed for one in specs.values() for seed in one.seeds]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"{folder} holds several runs of the same seeds: read one of them")
-    rows = [row for path in specs for row in _rows(path / "curve.csv")]
-    rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
-    run = Run(spec.config, tuple(seeds), rows, _results(Policy, specs), _results(Reward, specs))
+    diverged: dict[int, str] = {}
+    rows: list[Row] = []
     for path in specs:
-        if (path / "run.json").is_file():
-            diverged = read_json(path / "run.json").get("diverged", {})
-            run.diverged |= {int(seed): why for seed, why in diverged.items()}
-    return run
+        about = read_state(path) if (path / "run.json").is_file() else {"diverged": {}}
+        diverged |= {int(seed): why for seed, why in about["diverged"].items()}
+        rows += _rows(path / "curve.csv", about.get("curve.csv"))
+    rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
+    results = _results(Policy, specs), _results(Reward, specs)
+    return Run(spec.config, tuple(seeds), rows, *results, diverged)
 
 
 def _results(kind: Any, folders: Iterable[Path]) -> Any:
@@ -151,28 +160,32 @@ def _results(kind: Any, folders: Iterable[Path]) -> Any:
     return join([kind.load(file) for file in files]) if all(map(Path.is_file, files)) else None
 
 
-def _rows(path: Path) -> list[Row]:
+def _rows(path: Path, checksum: int | None) -> list[Row]:
     """Return the rows of a curve, which its process may be writing at this moment."""
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} is no record of a run: it has no curve.csv")
-    text = path.read_text("utf-8")
-    whole = text[: text.rfind("\n") + 1] or HEADER  # Its first line, too, may be half written.
-    reader = csv.DictReader(io.StringIO(whole))
-    names, known = tuple(reader.fieldnames or ()), len(COLUMNS) - len(METRICS)
-    if len(names) < known or names != COLUMNS[: len(names)]:
-        raise ValueError(f"{path} has columns {reader.fieldnames}; expected {list(COLUMNS)}")
-    return [
-        Row(
-            int(line["seed"]),
-            int(line["step"]),
-            int(line["episodes"]),
-            float(line["mean_return"]),
-            tuple(map(float, line["returns"].split())),
-            float(line["learned_return"]),
-            {name: float(line[name]) for name in METRICS if line.get(name)},
-        )
-        for line in reader
-    ]
+    require_checksum(path, checksum)
+    try:
+        text = path.read_text("utf-8")
+        whole = text[: text.rfind("\n") + 1] or HEADER  # Its first line, too, may be half written.
+        reader = csv.DictReader(io.StringIO(whole))
+        names, known = tuple(reader.fieldnames or ()), len(COLUMNS) - len(METRICS)
+        if len(names) < known or names != COLUMNS[: len(names)]:
+            raise ValueError(f"it has columns {reader.fieldnames}; expected {list(COLUMNS)}")
+        return [
+            Row(
+                int(line["seed"]),
+                int(line["step"]),
+                int(line["episodes"]),
+                float(line["mean_return"]),
+                tuple(map(float, line["returns"].split())),
+                float(line["learned_return"]),
+                {name: float(line[name]) for name in METRICS if line.get(name)},
+            )
+            for line in reader
+        ]
+    except (ValueError, TypeError, AttributeError, csv.Error) as error:
+        raise damaged(path.parent, path, error) from error
 
 
 def lines(rows: Iterable[Row]) -> str:
@@ -209,18 +222,59 @@ def seeds_name(seeds: Sequence[int]) -> str:
     return f"seeds-{name}"
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file; raise ValueError if it is damaged."""
+def read_state(folder: Path) -> dict[str, Any]:
+    """Read `run.json`; raise ValueError if it is gone or damaged."""
+    about = {"diverged": {}, **read_json(folder / "run.json")}
     try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
+        _require_types(about, state=str, step=int, diverged=dict)
+    except TypeError as error:
+        raise damaged(folder, folder / "run.json", error) from error
+    return about
+
+
+def _require_types(fields: dict[str, Any], **types: Any) -> None:
+    """Raise TypeError unless there are fields of these types."""
+    for name, wanted in types.items():
+        if not isinstance(fields.get(name), wanted):
+            found, wanted = fields.get(name, "missing"), getattr(wanted, "__name__", wanted)
+            raise TypeError(f"{name} is {found!r}; expected {wanted}")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file; raise ValueError if it is damaged, or not as `write_json` left it."""
+    try:
+        content = json.loads(path.read_bytes())
+        _require_types({"content": content}, content=dict)
+        if content.pop("checksum", None) not in (None, _checksum_of(content)):
+            why = "its checksum is not that of its contents"
+            raise ValueError(f"{why} (take it out where they were changed on purpose)")
+    except FileNotFoundError:
+        raise damaged(path.parent, path, "it is gone") from None
+    except (ValueError, TypeError, RecursionError) as error:
+        raise damaged(path.parent, path, error) from error
+    return content
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file, whole or not at all."""
+    """Write a JSON file, whole or not at all, with the checksum of what it says."""
+    content = content | {"checksum": _checksum_of(content)}
     text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
     write_whole(path, lambda part: part.write_text(text, "utf-8"))
+
+
+def _checksum_of(content: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(content).encode())
+
+
+def require_checksum(path: Path, expected: int | None, size: int | None = None) -> None:
+    """Raise ValueError if a file, or its beginning, has another CRC-32; older runs have none."""
+    if expected not in (None, zlib.crc32(path.read_bytes()[:size])):
+        raise damaged(path.parent, path, "its contents are not those that were written")
+
+
+def damaged(folder: Path, path: Path, why: object) -> ValueError:
+    """Return an error that says which file of a run folder is damaged, and what to do."""
+    return ValueError(f"{path} is damaged: {why}; bring all of {folder} back, or start a new run")
 
 
 def write_whole(path: Path, write: Callable[[Path], Any]) -> None:

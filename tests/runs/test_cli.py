@@ -26,7 +26,7 @@ from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import cli, folders, inputs, jobs, launch
 from offairl_lite.runs.grid import docstrings
-from offairl_lite.runs.records import RunSpec, read, run_folders
+from offairl_lite.runs.records import RunSpec, read, read_json, run_folders, write_json
 
 SMALL = (
     "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
@@ -554,7 +554,8 @@ def test_a_process_that_fails_is_told_of(capsys, elsewhere):
     assert [row.step for row in read("both/seeds-1").rows] == [100, 200, 300, 400]
 
 
-def test_ctrl_c_stops_all_processes(elsewhere):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_processes_end_with_the_one_that_started_them(number, elsewhere):
     line = f"run maze-expert --out both {SMALL} --total-steps 1000000 --processes 2"
     command = [sys.executable, "-m", "offairl_lite.runs.cli", *line.split()]
     parent = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -562,9 +563,14 @@ def test_ctrl_c_stops_all_processes(elsewhere):
     while not all(part.exists() and manifest(part)["state"] == "running" for part in parts):
         time.sleep(0.1)
         assert parent.poll() is None
-    parent.send_signal(signal.SIGINT)
-    assert b"offairl: stopped; `offairl resume both` goes on" in parent.communicate()[1]
-    assert parent.returncode == 1
+    parent.send_signal(number)
+    said, end = parent.communicate()[1], time.monotonic() + 30
+    if number == signal.SIGINT:
+        assert b"offairl: stopped; `offairl resume both` goes on" in said
+        assert parent.returncode == 1
+    while number == signal.SIGKILL and "running" in [manifest(part)["state"] for part in parts]:
+        time.sleep(0.1)  # They notice it within a second.
+        assert time.monotonic() < end
     assert [manifest(part)["state"] for part in parts] == ["stopped: KeyboardInterrupt()"] * 2
     # Nobody holds the locks.
     folders.extend(elsewhere / "both", 2_000_000)
@@ -611,7 +617,7 @@ def test_a_record_is_verified(capsys, elsewhere):
     fields[4] = fields[4].replace("-", "-1", 1)
     curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
     others = {"processor": "an abacus", "vectors": "ten"}
-    origin.write_text(json.dumps({**json.loads(origin.read_text()), **others}))
+    write_json(origin, {**read_json(origin), "curve.csv": None, **others})
     message = failure("verify one", capsys)
     assert "one comes out otherwise here" in message
     assert "processor: an abacus, here" in message

@@ -10,8 +10,10 @@ import subprocess
 import time
 from collections import namedtuple
 from dataclasses import replace
+from functools import cache
 from itertools import count
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ import torch
 from run_folders import create
 from safetensors.torch import load_file, save_file
 
+from offairl_lite.config import DiscriminatorConfig, LearnedReward, differences, used_settings
+from offairl_lite.config.settings import kinds
 from offairl_lite.core import networks
 from offairl_lite.core.collector import Collector
 from offairl_lite.core.loop import Trainer
@@ -202,17 +206,24 @@ KILLED = {
 }
 
 
-@pytest.mark.parametrize("case", KILLED)
-def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plain, given, tmp_path):
-    config = tiny.change(total_steps=300, **KILLED[case])
-    demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
-    rng = np.random.default_rng(list(KILLED).index(case))
+@pytest.fixture
+def kill_twice(given, tmp_path):
+    """Kill a run at two random moments, and compare it with one that is not killed."""
 
-    def make(name):
-        folder, given = tmp_path / name, {"demonstrations": demonstrations, **inherited(config)}
-        create(folder, config, SEEDS, checkpoint_every=60, **given)
-        return folder
+    def kill_twice(config, rng, checkpoint_every):
+        demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
 
+        def make(name):
+            things = {"demonstrations": demonstrations, **inherited(config)}
+            create(tmp_path / name, config, SEEDS, checkpoint_every=checkpoint_every, **things)
+            return tmp_path / name
+
+        compare_with_killed(make, handed, rng)
+
+    return kill_twice
+
+
+def compare_with_killed(make, handed, rng):
     whole = make("whole")
     seconds, kills = finish(whole, handed), 0
     for attempt in range(10):
@@ -231,8 +242,72 @@ def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, plai
         seconds /= 2  # The machine has become faster: the run was over before it was killed.
     assert kills == 2
     finish(folder, handed)
-    assert manifest(folder)["state"] == "finished"
+    assert manifest(folder)["state"] == manifest(whole)["state"]
     assert_same(folder, whole)
+
+
+@pytest.mark.parametrize("case", KILLED)
+def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, kill_twice):
+    rng = np.random.default_rng(list(KILLED).index(case))
+    kill_twice(tiny.change(total_steps=300, **KILLED[case]), rng, 60)
+
+
+CHOICES = {
+    "env_id": [MAZE, HOPPER, "Walker2d-v5", "Pendulum-v1"],
+    "reward": ["environment", *get_args(LearnedReward)],
+    "learner": ["sac", "td3", "ppo", "sac-released"],
+    "ablation": [None, None, *filter(None, kinds(DiscriminatorConfig))],
+    "absorbing": ["none", "bootstrap", "analytic"],
+    "loss": ["exact", "mixture", "released"],
+    "temperature": [None, 0.2, 1.0],
+    "primitives": [None, None, 2],
+    "update_every": [None, 20, 50, 63],
+    "replay_size": [10**6, 63, 150],
+    "warmup_steps": [60, 100, 133],
+    "warmup_hold": [1.0, 7.0],
+    "eval_every": [30, 100],
+    "total_steps": [200, 300, 431],
+    "normalise": [True, False],
+    "centre_reward": [True, False],
+    "discriminator_updates": [None, 3],
+}
+SMALL = {"trunk_hidden": (8,), "primitive_hidden": (), "gate_hidden": (8,)}
+
+
+def draw(tiny, rng, demonstrations):
+    """A configuration that makes sense, at random; now and then one of those above."""
+    while rng.random() > 0.1:
+        flat = {name: some[rng.integers(len(some))] for name, some in CHOICES.items()} | SMALL
+        used = used_settings(flat["learner"], flat["reward"], flat["ablation"])
+        if flat["update_every"] is None and flat["env_id"] in (HOPPER, "Walker2d-v5"):
+            continue  # Their episodes have no common end.
+        try:
+            config = tiny.change(**{name: flat[name] for name in used & flat.keys()})
+            shown = demonstrations(config.env_id) if config.learns_reward else None
+            Trainer(config, SEEDS, shown).close()
+        except ValueError:
+            continue
+        return config
+    return tiny.change(total_steps=300, **list(KILLED.values())[rng.integers(len(KILLED))])
+
+
+@pytest.mark.skipif("SOAK_MINUTES" not in os.environ, reason="it is long: make soak MINUTES=10")
+@pytest.mark.filterwarnings("default")
+def test_runs_of_any_kind_that_are_killed_are_the_same_runs(
+    tiny, kill_twice, random_demonstrations, tmp_path
+):
+    demonstrations = cache(random_demonstrations)
+    end = time.monotonic() + 60 * float(os.environ["SOAK_MINUTES"])
+    for number in count(int(os.environ.get("SOAK_SEED", time.time()))):
+        rng = np.random.default_rng(number)
+        config = draw(tiny, rng, demonstrations)
+        changed = {name: new for name, (_, new) in differences(tiny, config).items()}
+        print(f"SOAK_SEED={number}", changed, flush=True)
+        kill_twice(config, rng, int(rng.integers(20, 200)))
+        for path in tmp_path.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if time.monotonic() > end:
+            return
 
 
 @pytest.mark.parametrize(
@@ -452,8 +527,8 @@ def test_rewards_of_several_files_are_one_population(plain, tmp_path):
 
 
 def edit(path, **changes):
-    """Change fields of a JSON file; `a__b` is field b of a."""
-    content = json.loads(path.read_text())
+    """Change fields of a JSON file on purpose; `a__b` is field b of a."""
+    content = records.read_json(path)
     for name, value in changes.items():
         *outer, last = name.split("__")
         place = content
@@ -501,7 +576,7 @@ def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_
         (plain.change(discount=0.5), SEEDS, "of another run than .*: discount was 0.5, is 0.99;"),
         (plain, (4, 5), r"seeds was \[4, 5\], is \[3, 7\]; put back"),
         (plain.change(total_steps=200), SEEDS, "replay.f32 is damaged: it had"),
-        (plain, SEEDS, "replay.f32 is damaged: it is not as it was at the checkpoint"),
+        (plain, SEEDS, "replay.f32 is damaged: 1 of its 1 blocks, .* byte 0 on, are not as they"),
     ]:
         run(other, config, seeds=seeds)
         for name in ("checkpoint/checkpoint.safetensors", "curve.csv"):
@@ -545,7 +620,7 @@ def test_a_missing_or_cut_file_is_noticed(interrupted, folder):
         refused(folder, f"{name} is damaged: .* has 0;")
         path.write_bytes(bytes(len(content)) if name == "replay.f32" else content)
         if name == "replay.f32":
-            refused(folder, "replay.f32 is damaged: it is not as it was")
+            refused(folder, "replay.f32 is damaged: 1 of its 1 blocks, the first from byte 0")
             path.write_bytes(content)
     (folder / "checkpoint" / "checkpoint.safetensors").unlink()
     refused(folder, "checkpoint.safetensors is gone, and .* step 80", FileNotFoundError)
@@ -587,9 +662,9 @@ def test_a_run_from_before_subsampling_is_one_without(tiny, folder, write_datase
     config = tiny.change(env_id="Pendulum-v1")
     whole = load(config.env_id, 2, name)
     create(folder, config, SEEDS, demonstrations=whole)
-    about = json.loads((folder / "config.json").read_text())
+    about = records.read_json(folder / "config.json")
     assert about["demonstrations"].pop("subsample") == 1
-    (folder / "config.json").write_text(json.dumps(about))
+    records.write_json(folder / "config.json", about)
     resume(folder)
     assert records.read(folder).steps[-1] == config.total_steps
 
@@ -626,7 +701,7 @@ def test_two_processes_do_not_share_a_run_folder(folder, plain):
         lambda: folders.extend(folder, 200),
         lambda: folders.extend(folder, seeds=(8,)),
     ):
-        with pytest.raises(OSError, match=r"another process is at work on .*one: let it finish"):
+        with pytest.raises(OSError, match=rf"process {process.pid} is at work on .*one: let it f"):
             attempt()
     process.kill()
     process.join()

@@ -12,7 +12,7 @@ import tyro
 
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.runs import checkpoints, folders, jobs, launch
-from offairl_lite.runs.records import HEADER, RunSpec, read
+from offairl_lite.runs.records import HEADER, RunSpec, read, read_json, write_json
 
 SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
 
@@ -207,9 +207,9 @@ def test_what_is_there_must_be_of_the_same_kind(offairl, tmp_path):
         assert offairl(f"{line} {same}") == []
         with pytest.raises(ValueError, match=message):
             offairl(f"{line} {same} {other}")
-    about = json.loads(Path("here/temperature=0.1/config.json").read_text())
+    about = read_json(Path("here/temperature=0.1/config.json"))
     about["config"]["gone"] = 1
-    Path("here/temperature=0.1/config.json").write_text(json.dumps(about))
+    write_json(Path("here/temperature=0.1/config.json"), about)
     with pytest.raises(ValueError, match=r"temperature=0.1/config\.json does not describe a run"):
         offairl(f"maze-expert --grid temperature=0.1 {SMALL} --out here")
 

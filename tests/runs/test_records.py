@@ -35,6 +35,9 @@ def rows(step):
     return [Row(seed, step, step // 100, math.e, returns, 2 / 3, metrics) for seed in SEEDS]
 
 
+BEGUN = {"state": "running", "step": 0}
+
+
 @pytest.fixture
 def folder(tmp_path):
     return tmp_path / "runs" / "one"
@@ -94,7 +97,7 @@ def test_what_there_is_not_is_left_out(record, spec):
 
 
 def test_members_that_were_given_up_are_named(record):
-    write_json(record / "run.json", {"diverged": {"7": "seed 7 diverged"}})
+    write_json(record / "run.json", {**BEGUN, "diverged": {"7": "seed 7 diverged"}})
     assert read(record).diverged == {7: "seed 7 diverged"}
 
 
@@ -107,7 +110,7 @@ def parts(folder, spec):
         replace(spec, seeds=(seed,)).write(part)
         own = [row for row in rows(100) + rows(200) if row.seed == seed]
         (part / "curve.csv").write_text(HEADER + lines(own))
-        write_json(part / "run.json", {"diverged": {str(seed): "far away"}})
+        write_json(part / "run.json", {**BEGUN, "diverged": {str(seed): "far away"}})
     return folder
 
 
@@ -213,7 +216,9 @@ def test_a_configuration_of_another_version_is_refused(record):
 def test_a_curve_with_other_columns_is_refused(record):
     path = record / "curve.csv"
     path.write_text(path.read_text().replace("mean_return", "reward", 1))
-    with pytest.raises(ValueError, match=r"curve.csv has columns .*'reward'.*expected"):
+    with pytest.raises(
+        ValueError, match=r"curve.csv is damaged: it has columns .*'reward'.*expected"
+    ):
         read(record)
 
 

@@ -1,0 +1,306 @@
+"""Command lines that make no sense, with the words of their messages; a new one is a new row.
+
+Every message says what was found and what to do, without a traceback, and nothing is made.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from offairl_lite import demonstrations
+from offairl_lite.core.networks import Normaliser, StackedMLP
+from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.rewards import Reward
+from offairl_lite.core.rng import Rng
+from offairl_lite.runs import cli
+
+MAZE, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
+SMALL = (
+    "--seeds 0 1 --total-steps 100 --warmup-steps 50 --batch-size 8 --eval-every 100 "
+    "--eval-episodes 1 --hidden 8"
+)
+
+# A command, and words of its message.
+ROWS = [
+    # The command itself.
+    ("", "Expected one of", "list, run, resume"),
+    ("frobnicate", "frobnicate", "list, run, resume"),
+    ("run nowhere", "nowhere", "maze-imitation"),
+    ("list nowhere", "no experiment 'nowhere'; there are: ", "maze-imitation"),
+    ("run maze-expert --bogus 3", "Unrecognized options", "--bogus"),
+    ("run maze-expert --scale huge", "huge", "demo", "full"),
+    ("run --centre-reward maze-expert", "name the experiment before all options"),
+    ("resume", "Missing from offairl resume", "the run's folder"),
+    ("watch", "Missing from offairl watch", "a policy's file"),
+    ("verify", "Missing from offairl verify", "its folder"),
+    ("demos", "Missing from offairl demos", "Gymnasium id of the task"),
+    ("resume done more", "more"),
+    # Settings: types.
+    ("run maze-expert --temperature hot", "--temperature", "'hot'"),
+    ("run maze-expert --discount x", "--discount", "'x'"),
+    ("run maze-expert --update-every 1.5", "--update-every", "'1.5'"),
+    ("run maze-expert --total-steps 1e6", "--total-steps", "'1e6'"),
+    ("run maze-expert --batch-size big", "--batch-size", "'big'"),
+    ("run maze-expert --hidden 64x64", "--hidden", "64x64"),
+    ("run maze-expert --learner dqn", "--learner", "'dqn'", "sac"),
+    ("run maze-imitation --reward happiness", "--reward", "'happiness'", "implementation-4"),
+    ("run maze-imitation --ablation two-sided", "--ablation", "'two-sided'", "one-sided"),
+    ("run maze-imitation --absorbing yes", "--absorbing", "'yes'", "bootstrap"),
+    ("run maze-imitation --loss hinge", "--loss", "'hinge'", "mixture"),
+    ("run maze-expert --gating max --primitives 2", "--gating", "'max'", "softmax"),
+    ("run maze-expert --normalise yes", "yes"),
+    # Settings: ranges.
+    ("run maze-expert --discount 2", "discount is 2.0", "in [0, 1]"),
+    ("run maze-expert --discount nan", "discount is nan", "in [0, 1]"),
+    ("run maze-expert --learning-rate 0", "learning_rate is 0.0", "above 0"),
+    ("run maze-expert --learning-rate inf", "learning_rate is inf", "above 0"),
+    ("run maze-expert --learning-rate -1e-3", "learning_rate is -0.001", "above 0"),
+    ("run maze-expert --reward-scale 0", "reward_scale is 0.0", "above 0"),
+    ("run maze-expert --reward-scale inf", "reward_scale is inf", "above 0"),
+    ("run maze-expert --temperature 0", "temperature is 0.0", "above 0"),
+    ("run maze-expert --temperature nan", "temperature is nan", "above 0"),
+    ("run maze-expert --target-entropy nan", "target_entropy is nan", "a number"),
+    ("run maze-expert --target-rate 1.5", "target_rate is 1.5", "in [0, 1]"),
+    ("run maze-expert --warmup-hold nan", "warmup_hold is nan", "at least 1"),
+    ("run maze-expert --warmup-hold inf", "warmup_hold is inf", "at least 1"),
+    ("run maze-expert --warmup-hold 0.5", "warmup_hold is 0.5", "at least 1"),
+    ("run maze-expert --warmup-steps 0", "warmup_steps is 0", "at least 1"),
+    ("run maze-expert --warmup-steps 17000", "warmup_steps is 17000", "lower warmup_steps"),
+    ("run maze-expert --total-steps 0", "total_steps is 0", "at least 1"),
+    ("run maze-expert --total-steps -5", "total_steps is -5", "at least 1"),
+    ("run maze-expert --batch-size 0", "batch_size is 0", "at least 1"),
+    ("run maze-expert --replay-size 0", "replay_size is 0", "at least 1"),
+    ("run maze-expert --eval-every 0", "eval_every is 0", "at least 1"),
+    ("run maze-expert --eval-episodes 0", "eval_episodes is 0", "at least 1"),
+    ("run maze-expert --update-every 0", "update_every is 0", "at least 1"),
+    ("run maze-expert --update-every 99999", "update_every is 99999", "lower update_every"),
+    ("run maze-expert --hidden 8 0", "hidden is (8, 0)", "at least 1"),
+    ("run maze-expert --hidden -1", "hidden is (-1,)", "at least 1"),
+    ("run maze-expert --primitives 0", "primitives is 0", "at least 1"),
+    ("run maze-expert --log-std-range 2 -5", "log_std_range is (2.0, -5.0)", "in ascending order"),
+    ("run maze-expert --log-std-range 2", "--log-std-range"),
+    ("run maze-imitation --gradient-penalty nan", "gradient_penalty is nan", "at least 0"),
+    ("run maze-imitation --gradient-penalty -1", "gradient_penalty is -1.0", "at least 0"),
+    ("run maze-imitation --reward-sees 0 0", "reward_sees is (0, 0)", "none twice"),
+    ("run maze-imitation --reward-sees", "reward_sees is ()", "or None"),
+    ("run maze-imitation --reward-sees -1", "reward_sees is (-1,)", "at least 0"),
+    ("run maze-imitation --reward-sees 9", "reward_sees is (9,)", "indices from 0 to 2"),
+    ("run maze-imitation --discriminator-updates 0", "discriminator_updates is 0", "at least 1"),
+    ("run maze-imitation --discriminator-discount 2", "discriminator_discount is 2.0", "[0, 1]"),
+    ("run maze-imitation --start-steps -10", "start_steps is -10", "at least 0"),
+    ("run maze-imitation --start-steps 99999", "start_steps is 99999", "warmup_steps"),
+    # Settings that do not go together.
+    ("run maze-imitation --learner td3", "needs log π", "use learner='sac'"),
+    ("run maze-imitation --learner ppo --temperature 1", "update_every is None", "set it"),
+    ("run maze-imitation --reward gan-gcl", "gan-gcl", "learner='ppo'"),
+    ("run maze-expert --absorbing bootstrap", "absorbing='bootstrap'", "set absorbing='none'"),
+    ("run maze-imitation --no-log-prob-in-reward", "log_prob_in_reward=False", "it is for"),
+    ("run maze-expert --loss exact", "loss has no use", "leave it out"),
+    ("run maze-expert --ablation one-sided", "one-sided", "leave it out"),
+    ("run maze-imitation --bottleneck 0.1", "bottleneck has no use", "leave it out"),
+    ("run maze-expert --fixed-primitives", "fixed_primitives=True", "set primitives"),
+    ("run maze-expert --pretrained primitives", "pretrained='primitives'", "set primitives"),
+    (
+        "run maze-expert --learner td3 --temperature 0.2",
+        "temperature has no use with learner='td3'",
+        "leave it out",
+    ),
+    (
+        "run maze-imitation --absorbing analytic --discount 1",
+        "absorbing='analytic' divides by 1 - discount",
+        "below 1",
+    ),
+    (
+        "run maze-imitation --absorbing bootstrap --reward-sees 0",
+        "reward_sees is (0,)",
+        "set absorbing='none'",
+    ),
+    # Grids and several runs.
+    ("run maze-expert --grid temperature", "--grid temperature", "SETTING=VALUE,VALUE"),
+    ("run maze-expert --grid =1", "no setting ''"),
+    ("run maze-expert --grid foo=1", "no setting 'foo'", "temperature"),
+    ("run maze-expert --grid temperature=", "temperature is ''", "a number above 0, or None"),
+    ("run maze-expert --grid temperature=nan", "temperature is nan", "above 0"),
+    ("run maze-expert --grid temperature=0.1,0.1", "in the grid twice", "every value once"),
+    ("run maze-expert --grid temperature=1 --grid temperature=2", "each setting once"),
+    ("run maze-expert --grid discount=2", "discount is 2", "in [0, 1]"),
+    ("run maze-expert --grid hidden=8xx", "hidden is '8xx'", "a tuple"),
+    ("run maze-expert --grid normalise=perhaps", "normalise is 'perhaps'", "True or False"),
+    ("run maze-expert --grid learner=sac,dqn", "learner is 'dqn'", "td3"),
+    ("run maze-expert --only foo", "no runs ['foo']", "none, since the experiment is one run"),
+    ("run experts --only foo", "no runs ['foo']; there are: ", "Hopper-td3"),
+    ("run locomotion --env-id Pendulum-v1", "sets env_id itself", "--grid", "--only"),
+    # Seeds, processes, devices.
+    ("run maze-expert --seeds", "seeds are ()", "at least one"),
+    ("run maze-expert --seeds -1", "seeds", "-1", "0"),
+    ("run maze-expert --seeds 0.5", "--seeds", "0.5"),
+    (f"run maze-expert {SMALL} --seeds 0 0", "seeds are", "two members with one seed"),
+    ("run maze-expert --processes 0", "processes is 0", "at least 1"),
+    ("run maze-expert --processes -2 --grid temperature=1,2", "processes is -2", "at least 1"),
+    ("run maze-expert --processes two", "--processes", "two"),
+    ("run maze-expert --threads 0", "threads is 0", "from 1 to 256"),
+    ("run maze-expert --threads 100000", "threads is 100000", "from 1 to 256"),
+    ("run maze-expert --device tpu", "--device", "'tpu'", "cuda"),
+    ("run maze-expert --compile perhaps", "--compile", "'perhaps'", "auto"),
+    ("run maze-expert --engine slurm", "--engine", "'slurm'", "ray"),
+    ("resume done --processes 0", "processes is 0", "at least 1"),
+    ("bench --seconds 0", "seconds is 0.0", "positive"),
+    ("bench --seconds nan", "seconds is nan", "positive"),
+    ("bench --rounds 0", "rounds is 0", "positive"),
+    ("bench --populations 0 1", "populations is (0, 1)", "positive"),
+    ("bench --against tf", "--against", "'tf'", "sb3"),
+    # Places.
+    (f"run maze-expert {SMALL} --out /dev/null", "/dev/null is no folder", "another --out"),
+    (f"run maze-expert {SMALL} --out file", "file is no folder", "another --out"),
+    (f"run maze-expert {SMALL} --out file/below", "file is no folder", "another --out"),
+    (f"run maze-expert {SMALL} --out used", "used is not empty", "another --out"),
+    (f"run maze-expert {SMALL} --out done --discount 0.5", "discount 0.99, not 0.5", "--out"),
+    (f"run maze-expert {SMALL} --out done --seeds 5", "seeds (0, 1), not (5,)", "--out"),
+    ("resume nowhere", "no run in", "nowhere", "`offairl run NAME --out nowhere` starts one"),
+    ("resume used", "no run in", "used"),
+    ("resume file", "no run in", "file"),
+    ("resume done --steps 50", "reached step 100; it cannot end at 50", "--steps N"),
+    ("resume done --steps 0", "total_steps is 0", "at least 1"),
+    ("resume done --steps many", "--steps", "many"),
+    ("resume done --seeds 1", "seeds [1] are not all new", "[0, 1]"),
+    ("resume done --seeds -4", "seeds", "-4", "0"),
+    ("resume done --seeds 5 5", "not all new"),
+    ("resume damaged", "curve.csv is damaged", "bring all of damaged back"),
+    ("verify nowhere", "no run in", "nowhere"),
+    ("verify done --evaluations 0", "evaluations is 0", "has 1"),
+    ("verify done --evaluations 9", "evaluations is 9", "has 1"),
+    ("verify damaged", "curve.csv is damaged", "bring all of damaged back"),
+    ("tensorboard nowhere", "no run in", "nowhere"),
+    # Tasks.
+    ("run imitate --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'", "--env-id my_module:"),
+    ("run maze-expert --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
+    ("run maze-expert --env-id nomodule:Arm-v0", "nomodule"),
+    ("run maze-expert --env-id CartPole-v1", "CartPole-v1: the action space", "Box"),
+    ("run imitate --env-id Pendulum-v1", "no expert is shipped for Pendulum-v1", "--policy RUN"),
+    ("demos Nowhere-v0", "unknown environment 'Nowhere-v0'"),
+    ("demos Pendulum-v1", "no expert is shipped for Pendulum-v1", "--policy RUN"),
+    # Demonstrations.
+    (f"demos {MAZE} --trajectories 0", "trajectories is 0", "at least 1"),
+    (f"demos {MAZE} --trajectories -3", "trajectories is -3", "at least 1"),
+    (f"demos {MAZE} --trajectories few", "--trajectories", "few"),
+    (f"demos {MAZE} --experts 0", "experts is 0", "1"),
+    (f"demos {MAZE} --experts 7", "experts is 7", "2"),
+    (f"demos {MAZE} --dataset own/none-v0", "no local data set 'own/none-v0'"),
+    (f"demos {MAZE} --dataset own/pendulum-v0 --trajectories 2", "expected actions of shape"),
+    (f"demos {MAZE} --dataset own/pendulum-v0 --experts 1", "--experts 1 would not be used"),
+    ("demos Pendulum-v1 --dataset own/pendulum-v0", "it has 2", "--trajectories 2"),
+    ("demos Pendulum-v1 --policy mine", "needs a name", "--dataset own/trained-v0"),
+    ("demos Pendulum-v1 --policy mine --dataset own/x", "own/x", "own/trained-v0"),
+    ("demos Pendulum-v1 --policy mine --dataset ../x-v0", "../x-v0", "own/trained-v0"),
+    ("demos Pendulum-v1 --policy mine --dataset own/pendulum-v0", "exists already"),
+    ("demos Pendulum-v1 --policy none --dataset own/x-v0", "no run or policy file none"),
+    ("run maze-imitation --trajectories 0", "trajectories is 0", "at least 1"),
+    ("run maze-imitation --subsample 0", "subsample is 0", "at least 1"),
+    ("run maze-imitation --experts 9", "experts is 9"),
+    ("run maze-expert --trajectories 5", "--trajectories 5 would not be used", "leave it out"),
+    ("run maze-expert --dataset own/pendulum-v0", "--dataset own/pendulum-v0 would not be used"),
+    # Policies and rewards of other runs.
+    ("run maze-transfer", "first `offairl run maze-imitation`", "--frozen-reward"),
+    ("run maze-expert --reward frozen", "a frozen reward of another run is needed", "RUN/reward"),
+    ("run maze-expert --start-steps 9", "a guide of another run is needed", "--guide RUN/policy"),
+    ("run maze-expert --pretrained policy", "pretrained policy of another run", "RUN/policy"),
+    ("run maze-transfer --frozen-reward no.safetensors", "no reward at no.safetensors"),
+    ("run maze-transfer --frozen-reward file", "file", "safetensors"),
+    ("run maze-transfer --frozen-reward mine/policy.safetensors", "holds 'policy', not a reward"),
+    ("run maze-transfer --frozen-reward reward.safetensors", "2 ", "seeds", "--seeds 0 1"),
+    ("run maze-expert --guide done", "--guide done would not be used", "--start-steps 50"),
+    ("run maze-expert --frozen-reward done", "--frozen-reward done would not be used"),
+    (f"run maze-expert {SMALL} --pretrained policy --pretrained-policy mine", "1", "2"),
+    # Films.
+    ("watch nowhere", "no run or policy file nowhere", "`offairl list`"),
+    ("watch Pendulum-v1", "no expert is shipped for Pendulum-v1"),
+    ("watch no.safetensors", "no policy at no.safetensors"),
+    ("watch used", "used"),
+    ("watch file", "file"),
+    ("watch begun", "begun has no policy.safetensors", "`offairl resume begun` goes on"),
+    ("watch reward.safetensors", "holds 'reward', not a policy"),
+    ("watch done --member 2", "member is 2", "0 to 1"),
+    ("watch done --member -1", "member is -1", "0 to 1"),
+    ("watch done --out film.gif", "out is film.gif", "--out film.mp4"),
+    ("watch done --env-id Hopper-v5", "3", "11"),
+    ("watch done --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
+    ("watch done --max-steps 0", "max_steps is 0", "at least 1"),
+    ("watch done --max-steps -3", "max_steps is -3", "at least 1"),
+    ("watch done --max-steps some", "--max-steps", "some"),
+]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A working directory with runs, files and data sets of all kinds, made once."""
+    place, threads = tmp_path_factory.mktemp("commands"), torch.get_num_threads()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        patch.setenv("MINARI_DATASETS_PATH", str(place / "minari"))
+        patch.delenv("OFFAIRL_SCALE", raising=False)
+        patch.setattr(sys, "path", list(sys.path))
+        actor, normaliser = SquashedGaussian(3, 2, (8,)), Normaliser.identity(2, 3)
+        experts = Policy(MAZE, actor, actor.init(Rng((0, 1))), normaliser)
+        experts.save("experts/PointMazeLeft.safetensors")
+        patch.setattr(demonstrations, "EXPERTS", place / "experts")
+        actor = SquashedGaussian(3, 1, (8,))
+        mine = Policy("Pendulum-v1", actor, actor.init(Rng((0,))), Normaliser.identity(1, 3))
+        mine.save("mine/policy.safetensors")
+        net = StackedMLP((3, 4, 1))
+        Reward(MAZE, net, True, net.init(Rng((0, 1))), normaliser).save("reward.safetensors")
+        Path("file").write_text("mine")
+        Path("used").mkdir()
+        Path("used/notes.txt").write_text("mine")
+        for line in (
+            f"run maze-expert {SMALL} --out done",
+            f"run maze-expert {SMALL} --out damaged",
+            f"run maze-expert {SMALL} --out begun --prepare",
+            f"demos {MAZE}",
+            "demos Pendulum-v1 --policy mine --dataset own/pendulum-v0 --trajectories 2",
+        ):
+            cli.main(line.split())
+        curve = Path("damaged/curve.csv")
+        curve.write_text(curve.read_text().replace("-", "-1", 1))
+        yield place
+    torch.set_num_threads(threads)
+
+
+def names(place):
+    return sorted(path for path in place.rglob("*") if path.name != "lock")
+
+
+def test_there_are_many_rows_and_each_is_there_once():
+    lines = [line for line, *_ in ROWS]
+    assert len(lines) == len(set(lines)) >= 120
+
+
+@pytest.mark.parametrize(("line", "words"), [(line, words) for line, *words in ROWS])
+def test_a_command_that_makes_no_sense_is_answered(line, words, place, capsys):
+    before = names(place)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(line.split())
+    out, err = capsys.readouterr()
+    if isinstance(stop.value.code, str):
+        said = stop.value.code
+        assert said.startswith("offairl: ")
+        assert "\n" not in said
+    else:
+        assert stop.value.code == 2
+        said = " ".join(re.sub(r"[│╭╮╰╯─]", " ", out + err).split())
+    for word in words:
+        assert word in said
+    assert not re.search("Errno|Traceback|KeyError|TypeError|dummy|Annotated", said)
+    assert names(place) == before
+
+
+def test_a_reward_of_another_task_is_taken_with_a_note(place, capsys):
+    line = (
+        f"run imitate --reward frozen --frozen-reward reward.safetensors {SMALL} --update-every 50"
+    )
+    for env_id, noted in ((MAZE, False), (RIGHT, True)):
+        cli.main([*line.split(), "--prepare", "--env-id", env_id, "--out", f"noted-{noted}"])
+        note = f"note: the frozen reward is of {MAZE}, this run of {RIGHT}; the numbers of"
+        assert (note in capsys.readouterr().err) == noted
