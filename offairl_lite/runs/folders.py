@@ -96,32 +96,24 @@ def work(
         return
     demonstrations = inputs.demonstrations_of(folder, spec, demonstrations)
     given, found = inputs.recorded(folder, spec), checkpoints.load(folder, spec)
-    try:
-        with checkpoints.lock(folder):
-            if found is None:
-                (folder / checkpoints.REPLAY).unlink(missing_ok=True)
-                (folder / "curve.csv").write_text(records.HEADER)
-            trainer = Trainer(
-                spec.config,
-                spec.seeds,
-                demonstrations,
-                **given,
-                execution=Execution(**spec.execution),
-                replay_file=folder / checkpoints.REPLAY,
-                memory=checkpoints.most_steps_between(spec),
-            )
-            with closing(trainer):
-                worker = _Worker(folder, spec, trainer)
-                if found is not None:
-                    worker.restore(found)
-                worker.work(progress)
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise OSError(
-            f"the disk of {folder} is full: free some of it, and `offairl resume {folder}` goes on "
-            "from the last checkpoint"
-        ) from error
+    with checkpoints.lock(folder):
+        if found is None:
+            (folder / checkpoints.REPLAY).unlink(missing_ok=True)
+            (folder / "curve.csv").write_text(records.HEADER)
+        trainer = Trainer(
+            spec.config,
+            spec.seeds,
+            demonstrations,
+            **given,
+            execution=Execution(**spec.execution),
+            replay_file=folder / checkpoints.REPLAY,
+            memory=checkpoints.most_steps_between(spec),
+        )
+        with closing(trainer):
+            worker = _Worker(folder, spec, trainer)
+            if found is not None:
+                worker.restore(found)
+            worker.work(progress)
 
 
 def is_finished(folder: Path) -> bool:
@@ -309,15 +301,15 @@ def main() -> None:
     """Train the run folder that the command line names: `python -m offairl_lite.runs.folders`."""
     # A shell has its background jobs, and theirs, ignore what ends this process.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if parent := sys.argv[2:]:
+        threading.Thread(target=_end_with, args=(int(*parent),), daemon=True).start()
     with one_line():
         work(Path(sys.argv[1]), progress=False)
 
 
-def _end_with_parent() -> None:
-    """Stop, as Ctrl-C does, when the process of `jobs` that has started this one is gone."""
-    parent = int(os.environ.get("OFFAIRL_PARENT", 0))
-    while parent in (0, os.getppid()):
+def _end_with(parent: int) -> None:
+    """Stop, as Ctrl-C does, when the process that has started this one is gone."""
+    while os.getppid() == parent:
         time.sleep(jobs.POLL_S)
     os.kill(os.getpid(), signal.SIGINT)
 
@@ -332,11 +324,14 @@ def one_line() -> Iterator[None]:
         sys.exit("offairl: stopped")
     except Exception as error:
         known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
-        full = isinstance(error, MemoryError) or "allocate" in str(error)
-        if not full and not isinstance(error, known):
+        why = str(error)
+        if isinstance(error, MemoryError) or "allocate" in why:
+            cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
+            why = f"there is not enough memory: {cure}"
+        elif not isinstance(error, known):
             raise
-        cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
-        why = f"there is not enough memory: {cure}" if full else error
+        elif getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+            why = "the disk is full: free some of it"
         sys.exit("; ".join([f"offairl: {why}", *getattr(error, "__notes__", ())]))
 
 

@@ -139,7 +139,7 @@ def _child(folder: Path, command: list[str], stop: threading.Event) -> str:
         now = datetime.now(UTC).isoformat(timespec="seconds")
         print(f"# {now} on {platform.node()}", file=log, flush=True)
         process = subprocess.Popen(
-            ["env", "OMP_NUM_THREADS=1", f"OFFAIRL_PARENT={os.getpid()}", *command],
+            ["env", "OMP_NUM_THREADS=1", *command, str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -28,7 +28,6 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from types import NoneType
 from typing import Any, Self, get_type_hints
 
 import torch
@@ -101,9 +100,8 @@ class RunSpec:
         content = read_json(path)
         require_format(path, content.pop("format", 1))
         try:
-            content = {"inherited": {}, **content}
             _require_types(content, config=dict, execution=dict, checkpoint_every=int)
-            _require_types(content, seeds=list, demonstrations=dict | NoneType, inherited=dict)
+            _require_types({"inherited": {}, **content}, inherited=dict, demonstrations=dict | None)
             seeds = checked("seeds", content.pop("seeds"), tuple[Natural, ...])
             for name, value in content["execution"].items():
                 checked(name, value, get_type_hints(Execution)[name])
