@@ -194,7 +194,7 @@ def test_what_is_damaged_is_named(name, content, words, stopped):
     ("change", "words"),
     [
         ({"config": [1]}, "config is [1]; expected dict"),
-        ({"seeds": "01"}, "seeds is '01'; expected list"),
+        ({"seeds": "01"}, "seeds is '01'; expected a tuple"),
         ({"seeds": [0, -1]}, "seeds is [0, -1]; expected"),
         ({"seeds": ["a"]}, "seeds is ['a']; expected"),
         ({"execution": None}, "execution is None; expected dict"),
