@@ -185,5 +185,5 @@ def test_without_a_compiler_compile_is_refused(monkeypatch):
 
 
 def test_no_threads_no_run():
-    with pytest.raises(ValueError, match="threads is 0; expected at least 1"):
+    with pytest.raises(ValueError, match="threads is 0; expected a number from 1 to 256"):
         Execution(threads=0)
