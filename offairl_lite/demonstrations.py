@@ -21,7 +21,7 @@ from offairl_lite import envs, minari_storage
 from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
-from offairl_lite.core.rollouts import Episodes, require_actions, rollout
+from offairl_lite.core.rollouts import Episodes, faulty, require_actions, rollout
 from offairl_lite.minari_storage import Recording, outside, write
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
@@ -118,7 +118,7 @@ def require_demonstrations(given: Demonstrations, env: envs.BatchedEnv | envs.Se
             raise ValueError(f"demonstrations: {name} is {kind} of shape {shape}; {expected}")
     obs, _, next_obs, _, terminated = (part.numpy() for part in given.transitions)
     wrong = (outside(obs, space) | outside(next_obs, space)).any(1)
-    wrong |= ~pack(given.transitions).isfinite().all(1).numpy()
+    wrong |= faulty(pack(given.transitions).numpy()).any(1)
     wrong |= (terminated != 0) & (terminated != np.isin(np.arange(steps), ends - 1))
     for at in np.flatnonzero(wrong)[:1]:
         episode = np.searchsorted(ends, at, "right")

@@ -22,6 +22,7 @@ from offairl_lite import envs
 from offairl_lite.config.settings import checked
 from offairl_lite.core.policies import unsquash
 from offairl_lite.core.replay import Batch
+from offairl_lite.core.rollouts import FAULTY, faulty
 
 log = logging.getLogger(__name__)
 
@@ -68,8 +69,8 @@ def write(
     env.unwrapped.spec = _storable(envs.spec(env_id))
     with warnings.catch_warnings():
         # Minari asks for an author and a description; this data set stays on this machine.
-        warnings.filterwarnings("ignore", r"`(code_permalink|author|author_email)` is set to None")
-        warnings.filterwarnings("ignore", "`description` is set to None")
+        unset = "`(code_permalink|author|author_email|description)` is set to None"
+        warnings.filterwarnings("ignore", unset)
         minari.create_dataset_from_buffers(
             dataset_id,
             buffer,
@@ -214,10 +215,8 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
         found = getattr(array, "shape", type(array).__name__)
         expect(found == shape, f"{part} of shape {shape}", found)
         expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
-        with np.errstate(over="ignore"):
-            bad = np.argwhere(~np.isfinite(array.astype(np.float32)))  # As networks see them.
-        found = f"{len(bad)} that are not, the first at {bad[:1]}"
-        expect(len(bad) == 0, f"finite {part}", found)
+        bad = np.argwhere(faulty(array))
+        expect(not len(bad), f"finite {part}", f"{len(bad)} {FAULTY}, the first at {bad[:1]}")
     for part, space in spaces.items():
         array = getattr(episode, part)
         for step, i in np.argwhere(outside(array, space))[:1]:

@@ -75,9 +75,13 @@ def _filming(env_id: str) -> Iterator[None]:
 
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
-    """Return frames encoded as an MP4 with H.264, well under a kilobyte per frame."""
+    """Return frames encoded as an MP4 with H.264; ValueError if they are not as annotated."""
+    given, rate = np.asarray(pictures), checked("fps", fps, Count)
+    if given.dtype != np.uint8 or given.shape[3:] != (3,) or not given.size:
+        what = f"{given.dtype} of shape {given.shape}"
+        raise ValueError(f"pictures is {what}; expected uint8 of shape (T, H, W, 3), not empty")
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-    return mediapy.compress_video(pictures, fps=fps, crf=28)
+    return mediapy.compress_video(given, fps=rate, crf=28)
 
 
 def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) -> HTML:
@@ -85,10 +89,3 @@ def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) ->
     height, width = pictures.shape[1:3]
     player = mediapy.html_from_compressed_video(mp4(pictures, fps), width, height)
     return HTML(f"<figure>{player}<figcaption>{caption}</figcaption></figure>")
-
-
-def side_by_side(*films: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T H W 3"]:
-    """Join films of equal height; a shorter film stays at its last frame."""
-    longest = max(map(len, films))
-    last = [np.repeat(film[-1:], longest - len(film), axis=0) for film in films]
-    return np.concatenate([np.concatenate(pair) for pair in zip(films, last, strict=True)], axis=2)

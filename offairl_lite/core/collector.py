@@ -15,6 +15,7 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.rollouts import FAULTY, faulty
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
 log = logging.getLogger(__name__)
@@ -41,12 +42,12 @@ class Members:
     def give_up(self, lost: Bool[Tensor, "S"], step: int, what: str, cure: str) -> None:
         """Go on without the members in `lost`; FloatingPointError if none is left.
 
-        The reason that is kept and warned of says what is not finite, since when, and the `cure`.
+        The reason that is kept and warned of says `what` is wrong, since when, and the `cure`.
         """
         for i in lost.nonzero().flatten().tolist():
             seed = self.seeds[i]
             if seed not in self.diverged:
-                why = f"seed {seed} diverged by step {step}: its {what} is not finite; {cure}"
+                why = f"seed {seed} diverged by step {step}: its {what}; {cure}"
                 self.diverged[seed] = why
                 warnings.warn(why, stacklevel=4)
         # Members that were given up still receive updates, so they are zeroed again.
@@ -102,7 +103,7 @@ class Collector:
         # For how many more steps the guide acts.
         self.guided = torch.zeros(population, dtype=torch.long)
         self._draw_guided_steps(np.ones(population, bool))
-        (self.obs,) = self._finite(env.reset()[0])
+        (self.obs,) = self._sound(observation=env.reset()[0])
 
     @torch.no_grad()
     def step(
@@ -118,14 +119,14 @@ class Collector:
         finite = pre_tanh.isfinite()
         if not finite.all():
             cure = remedy(self.config.learner)
-            self.members.give_up(~finite.all(-1), self.steps, "actions", cure)
+            self.members.give_up(~finite.all(-1), self.steps, "actions are not finite", cure)
             pre_tanh = pre_tanh.where(finite, 0)
         action = torch.tanh(pre_tanh)
         if self.guide is not None and self.guided.any():
             guided = (self.guided > 0).to(action.device).unsqueeze(1)
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
-        next_obs, reward = self._finite(next_obs, reward)
+        next_obs, reward = self._sound(observation=next_obs, reward=reward)
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
         own = (self.guided == 0).nonzero().squeeze(1)
@@ -135,7 +136,7 @@ class Collector:
         self._draw_guided_steps(done)
         self.obs = next_obs
         if done.any():
-            (self.obs,) = self._finite(self.env.reset(options={"reset_mask": done})[0])
+            (self.obs,) = self._sound(observation=self.env.reset(options={"reset_mask": done})[0])
         self.steps += 1
         self.episodes += torch.from_numpy(done)
         return done
@@ -147,14 +148,16 @@ class Collector:
         self.held_action = torch.where(redraw | (self.steps == 0), fresh, self.held_action)
         return unsquash(self.held_action)
 
-    def _finite(self, *given: np.ndarray) -> Sequence[np.ndarray]:
-        """Return what the task gives with NaN replaced; the members concerned are given up."""
-        finite = np.all([np.isfinite(x).reshape(len(x), -1).all(1) for x in given], axis=0)
-        if finite.all():
-            return given
-        lost, cure = torch.from_numpy(~finite), f"mend {self.config.env_id}"
-        self.members.give_up(lost, self.steps, "observation or reward", cure)
-        return [np.nan_to_num(x) for x in given]
+    def _sound(self, **given: np.ndarray) -> Sequence[np.ndarray]:
+        """Return what the task gives, zero where it is faulty; members concerned are given up."""
+        wrong = {name: faulty(x) for name, x in given.items()}
+        for name, x in given.items():
+            for i, *place in np.argwhere(wrong[name]).tolist():
+                if i in self.members.left:
+                    what = f"{name}{place or ''} is {x[i, *place]:.6g}, {FAULTY}"
+                    lost, cure = torch.arange(len(x)) == i, f"mend {self.config.env_id}"
+                    self.members.give_up(lost, self.steps, what, cure)
+        return [np.where(wrong[name], x.dtype.type(0), x) for name, x in given.items()]
 
     def _draw_guided_steps(self, begins: Bool[np.ndarray, "S"]) -> None:
         """Draw for how long the guide acts in the episodes that begin."""

@@ -7,7 +7,7 @@ from offairl_lite.core.collector import Collector
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import Episodes, NotFiniteError, rollout
+from offairl_lite.core.rollouts import FAULTY, Episodes, ReadingError, rollout
 from offairl_lite.core.shapes import Metrics
 
 
@@ -17,7 +17,7 @@ def evaluate(
     """Return a row for each member that is still training, and for no other.
 
     Each plays `eval_episodes` episodes with its mode, the same ones every time. A member whose task
-    gives numbers that are not finite is given up.
+    gives faulty numbers is given up.
     """
     config, members, step = collector.config, collector.members, collector.steps
     env_id, episodes = config.env_id, config.schedule.eval_episodes
@@ -27,10 +27,10 @@ def evaluate(
         try:
             played = rollout(policy.member(*left), env_id, seeds, episodes, num_threads=num_threads)
             break
-        except NotFiniteError as error:
+        except ReadingError as error:
             lost = torch.zeros(len(members.seeds), dtype=torch.bool)
             lost[[left[i] for i in error.members]] = True
-            members.give_up(lost, step, "observation or reward", f"mend {env_id}")
+            members.give_up(lost, step, f"observation or reward is {FAULTY}", f"mend {env_id}")
     learned = learned_returns(played, reward and reward.member(*left))
     return [
         Row(

@@ -136,8 +136,9 @@ class Trainer:
         log_density = models.log_density(self.steps)
         self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
         self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
+        cure = remedy(self.config.learner)
         for name, lost in models.not_finite().items():
-            self.members.give_up(lost, self.steps, name, remedy(self.config.learner))
+            self.members.give_up(lost, self.steps, f"{name} is not finite", cure)
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""

@@ -206,11 +206,7 @@ class Adam:
 
 def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:
     """Return the states of several optimizers, each name after its optimizer's."""
-    return {
-        f"{kind}.{name}": tensor
-        for kind, optimizer in optimizers.items()
-        for name, tensor in optimizer.state.items()
-    }
+    return {f"{kind}.{name}": x for kind, it in optimizers.items() for name, x in it.state.items()}
 
 
 def descend(loss: Scalar, *optimizers: Adam) -> None:

@@ -206,14 +206,8 @@ class MultiplicativeGaussian(SquashedGaussian):
         outputs = outputs.unflatten(0, (-1, self.primitives)).transpose(1, 2)
         mean, raw = outputs.chunk(2, -1)
         logits = self.gate(gate, obs)
-        match self.gating:
-            case "softmax":
-                weight = torch.softmax(logits, -1)
-            case "sigmoid":
-                weight = torch.sigmoid(logits)
-            case "softplus":
-                weight = softplus(logits)
-        return mean, self._log_std(raw), weight
+        gates = {"softmax": lambda x: x.softmax(-1), "sigmoid": torch.sigmoid, "softplus": softplus}
+        return mean, self._log_std(raw), gates[self.gating](logits)
 
     def distribution(self, params: Params, obs: Obs) -> tuple[Action, Action]:
         """Return μ and log σ of `pre_tanh`, σ no wider or narrower than a primitive's may be."""
@@ -247,15 +241,9 @@ def make_actor(config: SACConfig | PPOConfig | TD3Config, obs_dim: int, action_d
         return Deterministic(*dims, config.hidden)
     if isinstance(config, PPOConfig) or config.primitives is None:
         return SquashedGaussian(*dims, config.hidden, config.log_std_range)
-    return MultiplicativeGaussian(
-        *dims,
-        config.trunk_hidden,
-        config.log_std_range,
-        config.primitives,
-        config.primitive_hidden,
-        config.gate_hidden,
-        config.gating,
-    )
+    trunk = config.trunk_hidden, config.log_std_range
+    rest = config.primitives, config.primitive_hidden, config.gate_hidden, config.gating
+    return MultiplicativeGaussian(*dims, *trunk, *rest)
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,7 @@ class Inherited(NamedTuple):
 
     def to(self, device: torch.device) -> "Inherited":
         """Return the same on a device."""
-        reward, policy, guide = self
-        return Inherited(
-            reward and reward.to(device), policy and policy.to(device), guide and guide.to(device)
-        )
+        return Inherited._make(given and given.to(device) for given in self)
 
 
 def require_inputs(

@@ -51,6 +51,4 @@ class Run:
         """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
         found = {(row.seed, row.step): row.mean_return for row in self.rows}
         steps = self.steps.tolist()
-        return np.array(
-            [[found.get((seed, step), np.nan) for step in steps] for seed in self.seeds]
-        )
+        return np.array([[found.get((seed, k), np.nan) for k in steps] for seed in self.seeds])

@@ -16,8 +16,6 @@ class Rng:
     """
 
     def __init__(self, seeds: Sequence[int], device: str | torch.device = "cpu") -> None:
-        if min(seeds, default=0) < 0:
-            raise ValueError(f"seeds are {list(seeds)}; expected none below 0")
         self.device = torch.device(device)
         # SeedSequence spreads neighbouring seeds over the generator's state.
         spread = [int(np.random.SeedSequence(seed).generate_state(1)[0]) for seed in seeds]

@@ -20,12 +20,24 @@ LONGEST = 20_000
 """Steps by which an episode must end where the task has no time limit."""
 
 
-class NotFiniteError(ValueError):
-    """A task gave an observation or a reward that is not finite, to some `members`."""
+LARGEST = 1e8
+"""A task's number beyond ±this is taken for a fault: one in the warm-up would scale all others to
+nothing. MuJoCo's robots read hundreds, a 24-bit encoder 1.7e7, hydraulics in Pa 5e7."""
+FAULTY = f"not within ±{LARGEST:g}"
+"""How messages tell that it is the task that has to be mended."""
+
+
+class ReadingError(ValueError):
+    """A task gave an observation or a reward that is NaN, or too large, to some `members`."""
 
     def __init__(self, env_id: str, members: Sequence[int]) -> None:
-        super().__init__(f"an observation or reward of {env_id} is not finite: mend it")
+        super().__init__(f"an observation or reward of {env_id} is {FAULTY}: mend it")
         self.members = members
+
+
+def faulty(reading: np.ndarray) -> np.ndarray:
+    """Return which numbers of a task, observations or rewards, are NaN or beyond ±`LARGEST`."""
+    return ~(np.abs(reading) <= LARGEST)
 
 
 class Episodes(NamedTuple):
@@ -57,7 +69,8 @@ def episode_seeds(
     `purpose` keeps the episodes of, say, an evaluation apart from those of a data set. `first` is
     the number of the first episode.
     """
-    checked("episodes", episodes, Count)
+    episodes = checked("episodes", episodes, Count)
+    purpose, first = checked("purpose", purpose, Natural), checked("first", first, Natural)
     seeds = checked("seeds", [*seeds] if np.ndim(seeds) else seeds, tuple[Natural, ...])
     return [
         int(np.random.SeedSequence((seed, purpose, episode)).generate_state(1)[0])
@@ -130,7 +143,7 @@ def rollout(
         num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
 
     Raises:
-        NotFiniteError: an observation or a reward of the task is not finite.
+        ReadingError: an observation or a reward of the task is NaN, or beyond ±`LARGEST`.
         ValueError: seeds, policy and task do not fit, or an episode does not end.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
@@ -156,9 +169,9 @@ def rollout(
             noise = rng.normal(action_dim).view(*shape, -1) if sample else None
             action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
-            broken = running & ~(np.isfinite(next_obs).all(1) & np.isfinite(reward))
+            broken = running & (faulty(next_obs).any(1) | faulty(reward))
             if broken.any():
-                raise NotFiniteError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
+                raise ReadingError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
             steps.append((obs, action, next_obs, reward, running & terminated, running))
             done = terminated | truncated
             running, obs = running & ~done, next_obs

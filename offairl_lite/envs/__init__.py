@@ -11,7 +11,6 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 """
 
 import importlib
-import math
 from collections.abc import Sequence
 
 import gymnasium
@@ -36,7 +35,7 @@ class SingleEnv(gymnasium.Env):
 
     def __init__(self, task: str, render_mode: str | None = None):
         # Gymnasium's TimeLimit, which `gymnasium.make` adds, is the only clock.
-        self._members = BatchedEnv(task, render_mode=render_mode, max_episode_steps=math.inf)
+        self._members = BatchedEnv(task, render_mode=render_mode, max_episode_steps=10**9)
         self.render_mode = render_mode
         self.action_space = self._members.single_action_space
         self.observation_space = self._members.single_observation_space

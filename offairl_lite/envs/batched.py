@@ -37,7 +37,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         num_threads: number of native threads that step the members.
         autoreset_mode: `NEXT_STEP` or `DISABLED`.
         render_mode: None or `"rgb_array"`.
-        max_episode_steps: None for the task's own time limit, `math.inf` for none.
+        max_episode_steps: None for the task's own time limit.
     """
 
     # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.
@@ -54,7 +54,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        max_episode_steps: float | None = None,
+        max_episode_steps: int | None = None,
     ):
         if task not in TASKS:
             raise ValueError(f"unknown task {task!r}; known are {', '.join(TASKS)}")
@@ -65,7 +65,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         self.task, self.num_envs, self.render_mode = TASKS[task], num_envs, render_mode
-        self.max_episode_steps = max_episode_steps or self.task.max_episode_steps
+        limit = checked("max_episode_steps", max_episode_steps, Count | None)
+        self.max_episode_steps = limit or self.task.max_episode_steps
 
         model = self.task.model()
         # Contact forces are computed from a member's whole MjData, which only a persistent batch
@@ -251,7 +252,8 @@ def require_episodes(idle: np.ndarray) -> None:
 def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) -> None:
     """Raise ValueError unless two states have the same names, shapes and types."""
     expected = {name: (array.shape, array.dtype) for name, array in like.items()}
-    given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in state.items()}
+    parts = (state or {}).items()
+    given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in parts}
     if given != expected:
         raise ValueError(f"not a state of this environment: expected {expected}, got {given}")
 

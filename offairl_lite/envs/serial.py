@@ -114,7 +114,7 @@ class SerialEnv(SyncVectorEnv):
         It is a ValueError if the state is of another task or number of members; or if the episodes
         come out differently when they are played again, and the environment must then be reset.
         """
-        like, steps = self.get_state(), np.shape(state.get("actions", ()))[:1]
+        like, steps = self.get_state(), np.shape((state or {}).get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)
         require_layout(state, like)
         set_generator_words(self.np_random, state["starts"])

@@ -56,9 +56,7 @@ def experiment(
 def crossed(*axes: Mapping[str, Changes]) -> dict[str, Changes]:
     """Return each combination of one entry of every axis: the names joined, the changes merged."""
     return {
-        "-".join(name for name, _ in chosen if name): {
-            k: v for _, c in chosen for k, v in c.items()
-        }
+        "-".join(name for name, _ in chosen if name): dict(i for _, c in chosen for i in c.items())
         for chosen in product(*(axis.items() for axis in axes))
     }
 

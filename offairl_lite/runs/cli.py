@@ -167,7 +167,7 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
-def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
+def verify(record: Positional[Path], *, evaluations: int = 1, env_id: str | None = None) -> None:
     """Do the beginning of a recorded run again, and compare.
 
     On the machine that made the record, with the same versions, the numbers are the same to the
@@ -178,16 +178,19 @@ def verify(record: Positional[Path], *, evaluations: int = 1) -> None:
     Args:
         record: its folder.
         evaluations: how many to do again, from the first one on.
+        env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
     """
-    pairs = folders.verify(record, evaluations, sys.stderr.isatty())
+    pairs = folders.verify(record, evaluations, sys.stderr.isatty(), env_id)
     print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
     for (seed, step), pair in pairs.items():
         means = (f"{row.mean_return:.4f}" if row else "diverged" for row in pair)
         print(f"{seed:5} {step:9,}", *(f"{mean:>12}" for mean in means))
     if all(old and new and old.returns == new.returns for old, new in pairs.values()):
         return print("the same, every return of every episode")
-    then = records.read_json(records.run_folders(record)[0] / "run.json")
-    said = [f"{record} comes out otherwise here"]
+    first = records.run_folders(record)[0]
+    then, said = records.read_json(first / "run.json"), [f"{record} comes out otherwise here"]
+    if records.RunSpec.read(first).execution.get("compile"):
+        said.append("its updates are compiled, and every compiler rounds in its own way")
     for key, (was, here) in records.changed(then, records.origin(Execution())).items():
         cure = " (the environment variable ATEN_CPU_CAPABILITY sets them)" * (key == "vectors")
         said.append(f"{key}: {was}, here {here}{cure}")

@@ -16,16 +16,18 @@ from glob import escape
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 
+from offairl_lite import envs
+from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Trainer, complete, train
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rng import Rng
+from offairl_lite.core.rollouts import FAULTY
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs, jobs, records
 from offairl_lite.runs.records import RunSpec, origin, read_state, run_folders, write_json
@@ -34,8 +36,6 @@ log = logging.getLogger(__name__)
 
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 """What `run.json` has as the state of a run that is not gone on with."""
-READING = "observation or reward is not finite"
-"""Where this is why a member was given up, it is the task that has to be mended."""
 
 
 def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
@@ -91,7 +91,7 @@ def work(
     file is damaged; OSError that another process is at work on it, or that the disk is full.
     """
     folder = Path(folder)
-    spec = RunSpec.read(folder)
+    spec = known(folder)
     if is_finished(folder):
         return
     demonstrations = inputs.demonstrations_of(folder, spec, demonstrations)
@@ -114,6 +114,24 @@ def work(
             if found is not None:
                 worker.restore(found)
             worker.work(progress)
+
+
+def known(folder: Path, task: str | None = None, command: str = "resume") -> RunSpec:
+    """Read what a run is, to compute it; a module is imported if the user names the `task`, too."""
+    spec = RunSpec.read(folder)
+    module = (env_id := spec.config.env_id).rpartition(":")[0]
+    if task is not None:
+        envs.spec(checked("env_id", task, Literal[env_id]))
+    elif module and module not in sys.modules:
+        why = "no module is imported because a file names it; if you trust it"
+        raise ValueError(f"{folder} is a run on {env_id}; {why}: {again(folder, spec, command)}")
+    return spec
+
+
+def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
+    """Return what to type to go on with a run; it names a task that is in a module."""
+    task = spec.config.env_id
+    return f"`offairl {command} {folder}{f' --env-id {task}' * (':' in task)}`"
 
 
 def is_finished(folder: Path) -> bool:
@@ -170,13 +188,13 @@ class _Worker:
         except BaseException as error:
             with suppress(OSError, ValueError):
                 self.note(f"stopped: {error!r}")
-            error.add_note(f"`offairl resume {self.folder}` goes on from step {self.step}")
+            error.add_note(f"{again(self.folder, self.spec)} goes on from step {self.step}")
             raise
 
     def require_readings(self) -> None:
         """Raise ValueError if the task has given up a member since the last checkpoint."""
         lost = self.trainer.members.diverged
-        if why := [lost[seed] for seed in lost if READING in lost[seed] and seed not in self.lost]:
+        if why := [lost[seed] for seed in lost if FAULTY in lost[seed] and seed not in self.lost]:
             raise ValueError("; ".join(why))
 
     def keep(self, rows: list[Row]) -> None:
@@ -219,7 +237,7 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
     already, that a seed is there already, or that the run builds upon members of another; OSError
     that a process is at work on the run, or that the disk has no room.
     """
-    before = {path: RunSpec.read(path) for path in run_folders(folder)}
+    before = {path: known(path) for path in run_folders(folder)}
     changes = {} if steps is None else {"total_steps": steps}
     specs = {p: replace(spec, config=spec.config.change(**changes)) for p, spec in before.items()}
     with ExitStack() as locks:
@@ -253,24 +271,24 @@ def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[in
             f"{folder} has of another run the {' and the '.join(names).replace('_', ' ')}, of "
             f"{len(there)} members and none for further seeds: start a run of its own"
         )
-    Rng(seeds)  # It refuses what cannot be a seed.
+    checked("seeds", tuple(seeds), tuple[Natural, ...])
     if len({*there, *seeds}) < len(there) + len(seeds):
         raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(there)}")
 
 
 def verify(
-    folder: str | PathLike, evaluations: int = 1, progress: bool = True
+    folder: str | PathLike, evaluations: int = 1, progress: bool = True, task: str | None = None
 ) -> dict[tuple[int, int], tuple[Row | None, Row | None]]:
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
-    Its checkpoints are not needed. Of several run folders the first is verified.
+    Its checkpoints are not needed. Of several run folders the first is verified; see `known`.
 
     Returns:
         By seed and step the recorded row, and the row as it comes out now, from the first of so
         many `evaluations` on. None stands for a member that had diverged, there or here.
     """
     folder = run_folders(folder)[0]
-    spec = RunSpec.read(folder)
+    spec = known(folder, task, "verify")
     rows = [row for row in records.read(folder).rows if row.seed in spec.seeds]
     steps = sorted({row.step for row in rows})
     if not 1 <= evaluations <= len(steps):
@@ -298,13 +316,15 @@ def verify(
 
 
 def main() -> None:
-    """Train the run folder that the command line names: `python -m offairl_lite.runs.folders`."""
+    """Train a run folder: `python -m offairl_lite.runs.folders FOLDER [TASK PROCESS_ID]`."""
     # A shell has its background jobs, and theirs, ignore what ends this process.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if parent := sys.argv[2:]:
-        threading.Thread(target=_end_with, args=(int(*parent),), daemon=True).start()
+    folder, *rest = sys.argv[1:]
+    for parent in rest[1:]:
+        threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
     with one_line():
-        work(Path(sys.argv[1]), progress=False)
+        known(Path(folder), *rest[:1])
+        work(folder, progress=False)
 
 
 def _end_with(parent: int) -> None:

@@ -42,8 +42,9 @@ def log_of(folder: Path) -> Path:
 
 
 def command(folder: Path) -> list[str]:
-    """Return the command that trains a run folder to its end."""
-    return [sys.executable, "-m", "offairl_lite.runs.folders", str(folder)]
+    """Return the command that trains a run folder, whose task is `folders.known`, to its end."""
+    task = _from(folder / "config.json")["config"]["env_id"]
+    return [sys.executable, "-m", "offairl_lite.runs.folders", str(folder), task]
 
 
 def cores() -> int:

@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
-from offairl_lite import demonstrations
+from offairl_lite import demonstrations, envs
 from offairl_lite.config import Config, differences
+from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.acceleration import fitting, is_large
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.results import Run
@@ -131,10 +132,12 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
                 f"{experiment} at {scale} scale was asked for, and the defaults are those of "
                 f"{name} at {size} scale: name the experiment before all options"
             )
-        _require_processes(processes)
+        checked("processes", processes, Count | None)
         if not seeds:
             raise ValueError("seeds are (); expected at least one: --seeds 0 1 2")
         configs = points(own, scale, {**schedule, **learner, **discriminator}, grid, only)
+        for config in configs.values():
+            envs.spec(config.env_id)  # It imports a module that is named.
         frozen = any(config.reward == "frozen" for config in configs.values())
         if frozen and own.reward_from and not given.frozen_reward:
             raise ValueError(
@@ -157,11 +160,6 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         **options(own.configs[size]),
     }
     return run
-
-
-def _require_processes(processes: int | None) -> None:
-    if processes is not None and processes < 1:
-        raise ValueError(f"processes is {processes}; expected at least 1")
 
 
 def _create(
@@ -244,6 +242,7 @@ def resume(
     steps: int | None = None,
     seeds: tuple[int, ...] = (),
     processes: int | None = None,
+    env_id: str | None = None,
 ) -> None:
     """Go on with a run that was interrupted, or extend one that has ended.
 
@@ -256,8 +255,11 @@ def resume(
             FOLDER/seeds-5-6-7, and belong to the same run; nothing is moved.
         processes: how many at a time where there are several run folders; by default one on each
             core.
+        env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
     """
-    _require_processes(processes)
+    checked("processes", processes, Count | None)
+    for path in run_folders(folder) if env_id is not None else ():
+        folders.known(path, env_id)
     if steps is not None or seeds:
         folders.extend(folder, steps, seeds)
     paths = run_folders(folder)
@@ -272,14 +274,15 @@ def _finish(
     """Train run folders to their ends, one of them in this process, and show what came of it."""
     todo = [path for name in names for path in run_folders(place / name)]
     left = [path for path in todo if not folders.is_finished(path)]
+    specs = [folders.known(path) for path in left]
     failures: list[str] = []
     try:
         if len(left) == 1 and how.get("engine", "processes") == "processes":
-            folders.work(left[0], demonstrations=data.get(RunSpec.read(left[0]).config.env_id))
+            folders.work(left[0], demonstrations=data.get(specs[0].config.env_id))
         elif left:
             failures = jobs.execute(left, **how)
     except KeyboardInterrupt:
-        sys.exit(f"offairl: stopped; `offairl resume {place}` goes on")
+        sys.exit(f"offairl: stopped; {folders.again(place, specs[0])} goes on")
     if failures:
         print(*failures, sep="\n\n", file=sys.stderr)
     runs = {name: records.read(place / name) for name in names}
@@ -289,8 +292,8 @@ def _finish(
         print(f"demonstrations of {env_id}: {shown.returns.mean():.2f}")
     if failures:
         raise ChildProcessError(
-            f"{len(failures)} of {len(left)} jobs failed, twice: see above; `offairl resume "
-            f"{place}` goes on with them"
+            f"{len(failures)} of {len(left)} jobs failed, twice: see above; "
+            f"{folders.again(place, specs[0])} goes on with them"
         )
     lost = [why for run in runs.values() for why in run.diverged.values()]
     if lost and (len(runs) == 1 or any(len(r.diverged) == len(r.seeds) for r in runs.values())):

@@ -149,7 +149,8 @@ def read(folder: str | PathLike) -> Run:
         rows += _rows(path / "curve.csv", about.get("curve.csv"))
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
-    return Run(spec.config, tuple(seeds), rows, *results, diverged)
+    config = spec.config.change(env_id=spec.config.env_id.rpartition(":")[2])  # see `Population`
+    return Run(config, tuple(seeds), rows, *results, diverged)
 
 
 def _results(kind: Any, folders: Iterable[Path]) -> Any:

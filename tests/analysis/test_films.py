@@ -137,12 +137,3 @@ def test_a_film_in_a_page_carries_its_own_bytes():
     assert "data:video/mp4;base64," in html
     assert "<figcaption>The maze.</figcaption>" in html
     assert "http" not in html.split("base64,")[0]
-
-
-def test_side_by_side_the_shorter_film_stands_still_at_its_end():
-    long = np.arange(5, dtype=np.uint8).reshape(5, 1, 1, 1) * np.ones((1, 2, 3, 3), np.uint8)
-    short = 100 + long[:2, :, :2]
-    both = video.side_by_side(long, short)
-    assert both.shape == (5, 2, 5, 3)
-    np.testing.assert_array_equal(both[:, :, :3], long)
-    assert both[:, 0, 3, 0].tolist() == [100, 101, 101, 101, 101]

@@ -199,7 +199,7 @@ def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny
         result = run(config, range(6))
     assert 0 < len(result.diverged) < 6
     for why in result.diverged.values():
-        assert "its observation or reward is not finite; mend Faulty-v0" in why
+        assert "its observation[0] is nan, not within ±1e+08; mend Faulty-v0" in why
     assert len(result.rows) == 2 * (6 - len(result.diverged))
     assert all(np.isfinite(row.metrics["critic_loss"]) for row in result.rows)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from offairl_lite.core.loop import train
-from offairl_lite.core.rollouts import NotFiniteError, rollout
+from offairl_lite.core.rollouts import ReadingError, rollout
 
 HOPPER = "Hopper-v5"
 run = partial(train, progress=False)
@@ -43,7 +43,7 @@ def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
 def test_what_an_evaluation_cannot_count_costs_one_member(tiny, monkeypatch):
     def broken(policy, env_id, seeds, *given, **more):
         if 5 in seeds:
-            raise NotFiniteError(env_id, [seeds.index(5)])
+            raise ReadingError(env_id, [seeds.index(5)])
         return rollout(policy, env_id, seeds, *given, **more)
 
     monkeypatch.setattr("offairl_lite.core.evaluation.rollout", broken)

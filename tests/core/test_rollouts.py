@@ -94,7 +94,8 @@ class Endless(gymnasium.Env):
     [
         (0.0, 3, None),
         (0.0, 2, r"Endless-v0 has not ended after 2 steps.*max_episode_steps"),
-        (np.nan, 3, "observation or reward of Endless-v0 is not finite"),
+        (np.nan, 3, "observation or reward of Endless-v0 is not within"),
+        (1e9, 3, "observation or reward of Endless-v0 is not within"),
     ],
 )
 def test_what_a_task_may_not_do_is_named(at_end, longest, message, monkeypatch):

@@ -262,8 +262,16 @@ def troubled(own, plain, folder, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("trouble", "kind", "words"),
     [
-        (np.nan, ValueError, "observation or reward is not finite; mend ownbot/Troubled-v0"),
-        (np.inf, ValueError, "observation or reward is not finite; mend ownbot/Troubled-v0"),
+        (
+            np.nan,
+            ValueError,
+            "observation or reward is nan, not within ±1e+08; mend ownbot/Troubled-v0",
+        ),
+        (
+            np.inf,
+            ValueError,
+            "observation or reward is nan, not within ±1e+08; mend ownbot/Troubled-v0",
+        ),
         ("raises", TaskError, "has failed in its step, ZeroDivisionError: a bug of my own"),
     ],
 )
