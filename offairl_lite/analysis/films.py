@@ -86,6 +86,6 @@ def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
 
 def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) -> HTML:
     """Return a player for a notebook; it contains the film, so the page needs no other file."""
-    height, width = pictures.shape[1:3]
-    player = mediapy.html_from_compressed_video(mp4(pictures, fps), width, height)
+    film, (_, height, width, _) = mp4(pictures, fps), np.shape(pictures)
+    player = mediapy.html_from_compressed_video(film, width, height)
     return HTML(f"<figure>{player}<figcaption>{caption}</figcaption></figure>")

@@ -242,7 +242,7 @@ def make_actor(config: SACConfig | PPOConfig | TD3Config, obs_dim: int, action_d
     if isinstance(config, PPOConfig) or config.primitives is None:
         return SquashedGaussian(*dims, config.hidden, config.log_std_range)
     trunk = config.trunk_hidden, config.log_std_range
-    rest = config.primitives, config.primitive_hidden, config.gate_hidden, config.gating
+    rest: Any = config.primitives, config.primitive_hidden, config.gate_hidden, config.gating
     return MultiplicativeGaussian(*dims, *trunk, *rest)
 
 

@@ -45,6 +45,8 @@ def at(part, index, value):
         (at("action", (0, 0), -np.inf), "expected finite actions; found 1"),
         (at("reward", 1, np.nan), "expected finite rewards; found 1 ...[[1]]"),
         (at("reward", 1, 1e300), "expected finite rewards; found 1 ...[[1]]"),
+        (at("obs", (0, 1), 1e30), "expected finite observations; found 1 not within ±1e+08"),
+        (at("reward", 3, -1e9), "expected finite rewards; found 1 not within ±1e+08...[[3]]"),
         (at("obs", (2, 0), 9.1), "expected observations[0] in [-9, 9]; found 9.1 in step 2"),
         (at("obs", (4, 1), -50), "expected observations[1] in [-9, 9]; found -50 in step 4"),
         (at("action", (1, 0), 4.1), "expected actions[0] in [-2, 4]; found 4.1 in step 1"),

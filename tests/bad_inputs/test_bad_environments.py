@@ -77,6 +77,12 @@ def test_there_is_no_task(refused, env_id, words, use):
         ({"seeds": [1, 2]}, "expected one seed for each of 1 members"),
         ({"seeds": [-5]}, f"seed is -5; {WHOLE} 0, or None"),
         ({"render_mode": "human"}, "render_mode must be None or 'rgb_array', not 'human'"),
+        ({"max_episode_steps": 0}, f"max_episode_steps is 0; {WHOLE} 1, or None"),
+        ({"max_episode_steps": -1}, f"max_episode_steps is -1; {WHOLE} 1, or None"),
+        ({"max_episode_steps": 2.5}, f"max_episode_steps is 2.5; {WHOLE} 1, or None"),
+        ({"max_episode_steps": np.nan}, f"max_episode_steps is nan; {WHOLE} 1, or None"),
+        ({"max_episode_steps": "9"}, f"max_episode_steps is '9'; {WHOLE} 1, or None"),
+        ({"max_episode_steps": True}, f"max_episode_steps is True; {WHOLE} 1, or None"),
         ({"autoreset_mode": "off"}, "autoreset_mode must be NEXT_STEP or DISABLED, not off"),
     ],
 )
@@ -148,6 +154,29 @@ def test_no_environment_is_reset_with(refused, env_id, given, words):
     if given.get("seed") == "7":  # A text is a sequence, here of another length.
         words = "expected one seed for each of 2 members, got 7"
     refused(lambda: env.reset(**given), words)
+
+
+@pytest.mark.parametrize("env_id", [MAZE, PENDULUM])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda state: None,
+        lambda state: {},
+        lambda state: state | {"mood": np.zeros(1)},
+        lambda state: {name: x for name, x in state.items() if name != "clock"},
+        lambda state: state | {"clock": state["clock"][:1]},
+        lambda state: state | {"clock": state["clock"].astype(float)},
+        lambda state: state | {"clock": None},
+        lambda state: state | {"idle": 3},
+        lambda state: state | {"generators": state["generators"].astype(str)},
+    ],
+)
+def test_no_environment_goes_on_from(refused, env_id, change):
+    env = make(env_id, 2, 0)
+    env.reset()
+    state = env.get_state()
+    refused(lambda: env.set_state(change(state)), "not a state of this environment: expected")
+    np.testing.assert_equal(env.get_state(), state)
 
 
 @pytest.mark.parametrize("env_id", [MAZE, PENDULUM])

@@ -105,6 +105,16 @@ def test_an_observation_may_come_in_any_form_of_numbers(obs):
         ({"env_id": "Nowhere-v0"}, "unknown environment 'Nowhere-v0'"),
         ({"num_threads": 0}, f"num_threads is 0; {WHOLE} of at least 1"),
         ({"num_threads": 1.5}, f"num_threads is 1.5; {WHOLE} of at least 1"),
+        ({"purpose": -1}, f"purpose is -1; {WHOLE} of at least 0"),
+        ({"purpose": "demos"}, f"purpose is 'demos'; {WHOLE} of at least 0"),
+        ({"purpose": None}, f"purpose is None; {WHOLE} of at least 0"),
+        ({"purpose": 1.0}, f"purpose is 1.0; {WHOLE} of at least 0"),
+        ({"purpose": True}, f"purpose is True; {WHOLE} of at least 0"),
+        ({"first": -1}, f"first is -1; {WHOLE} of at least 0"),
+        ({"first": "0"}, f"first is '0'; {WHOLE} of at least 0"),
+        ({"first": None}, f"first is None; {WHOLE} of at least 0"),
+        ({"first": 2.5}, f"first is 2.5; {WHOLE} of at least 0"),
+        ({"first": False}, f"first is False; {WHOLE} of at least 0"),
     ],
 )
 def test_no_episodes_are_run_with(refused, given, words):
@@ -204,6 +214,36 @@ def test_no_reward_is_paid_for(refused, acts, words):
 )
 def test_nothing_is_filmed_with(refused, policy, given, words):
     refused(lambda: films.frames(policy, **({"env_id": MAZE} | given)), words)
+
+
+FILM = np.zeros((2, 16, 16, 3), np.uint8)
+
+
+@pytest.mark.parametrize("make", [films.mp4, lambda pictures: films.show(pictures, "A film.")])
+@pytest.mark.parametrize(
+    ("pictures", "words"),
+    [
+        (FILM[0], "pictures is uint8 of shape (16, 16, 3); expected uint8 of shape (T, H, W, 3)"),
+        (FILM[:0], "pictures is uint8 of shape (0, 16, 16, 3); expected ...not empty"),
+        (FILM[:, :0], "pictures is uint8 of shape (2, 0, 16, 3); expected ...not empty"),
+        (FILM[..., :1], "pictures is uint8 of shape (2, 16, 16, 1); expected"),
+        (FILM[..., 0], "pictures is uint8 of shape (2, 16, 16); expected"),
+        (FILM[None], "pictures is uint8 of shape (1, 2, 16, 16, 3); expected"),
+        (FILM / 255, "pictures is float64 of shape (2, 16, 16, 3); expected uint8"),
+        (FILM.astype(np.int64), "pictures is int64 of shape (2, 16, 16, 3); expected uint8"),
+        (FILM > 0, "pictures is bool of shape (2, 16, 16, 3); expected uint8"),
+        (FILM.astype(str), "pictures is <U3 of shape (2, 16, 16, 3); expected uint8"),
+        ([], "pictures is float64 of shape (0,); expected uint8"),
+        (None, "pictures is object of shape (); expected uint8"),
+    ],
+)
+def test_no_film_is_made_of(refused, make, pictures, words):
+    refused(lambda: make(pictures), words)
+
+
+@pytest.mark.parametrize("fps", [0, -1, 2.5, "20", None, True, np.nan])
+def test_no_film_has_as_many_frames_a_second_as(refused, fps):
+    refused(lambda: films.mp4(FILM, fps), f"fps is {fps!r}; {WHOLE} of at least 1")
 
 
 def test_a_read_only_observation_is_seen_without_a_warning():

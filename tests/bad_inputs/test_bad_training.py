@@ -41,6 +41,8 @@ ARGUMENTS = [
 COLUMNS = [
     ("obs", put(torch.nan)),
     ("obs", put(torch.inf)),
+    ("obs", put(1e30)),
+    ("reward", put(1e30)),
     ("pre_tanh", put(torch.nan)),
     ("next_obs", put(torch.nan)),
     ("reward", put(-torch.inf)),

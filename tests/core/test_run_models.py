@@ -1,5 +1,6 @@
 """The networks of a run: when they are made, what scales their inputs, and where they start."""
 
+import warnings
 from functools import partial
 
 import pytest
@@ -47,6 +48,18 @@ def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze, unt
     until(plain, lambda t: t.models is not None)
     assert (plain.models.learner.normaliser.mean == 0).all()
     assert (plain.models.learner.normaliser.std == 1).all()
+
+
+@pytest.mark.parametrize(("far", "warned"), [(1e7, True), (-2e5, True), (9e4, False)])
+def test_a_reading_that_would_scale_all_others_to_nothing_is_named(far, warned, tiny, until):
+    trainer = Trainer(tiny.change(reward="environment", update_every=50), (3, 7))
+    until(trainer, lambda t: t.steps == 100)
+    trainer.collector.replay.rows[41, 1, 2] = far
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        until(trainer, lambda t: t.models is not None)
+    said = f"observation[2] of member 1 of {tiny.env_id} is {far:.6g} in step 41 of the warm-up"
+    assert [said in str(warning.message) for warning in found] == [True] * warned
 
 
 @pytest.fixture

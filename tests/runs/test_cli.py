@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import torch
 from run_folders import create
 
+from offairl_lite import envs
 from offairl_lite.config import flat_settings
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector
@@ -21,6 +23,7 @@ from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.rollouts import rollout
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS
 from offairl_lite.experiments import EXPERIMENTS
@@ -257,7 +260,10 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
             "resume nowhere",
             "nowhere: it has no config.json; `offairl run NAME --out nowhere` starts",
         ),
-        (f"run maze-expert --processes 0 {SMALL}", "processes is 0; expected at least 1"),
+        (
+            f"run maze-expert --processes 0 {SMALL}",
+            "processes is 0; expected a whole number of at least 1, or None",
+        ),
     ],
 )
 def test_mistakes_are_answered_in_one_line(
@@ -484,7 +490,8 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
     small, net = f"{SMALL} --update-every 50", StackedMLP((3, 4, 1))
     try:
         offairl(f"run imitate --reward environment --env-id arm:Arm-v0 {small} --out one")
-        assert read("one").config.env_id == "arm:Arm-v0"
+        assert RunSpec.read("one").config.env_id == "arm:Arm-v0"
+        assert read("one").config.env_id == "Arm-v0"
         learned = net.init(Rng((0, 1))), Normaliser.identity(2, 3)
         Reward("arm:Arm-v0", net, True, *learned).save("one/reward.safetensors")
         line = f"run imitate --env-id arm:Heavy-v0 --reward frozen --frozen-reward one {small}"
@@ -495,9 +502,80 @@ def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, mo
         assert "--pretrained-policy one would not be used: add --pretrained policy" in message
         assert not Path("three").exists()
     finally:
-        for name in ("Arm-v0", "Heavy-v0"):
-            gymnasium.registry.pop(name, None)
-        sys.modules.pop("arm", None)
+        forget_arm()
+
+
+def forget_arm():
+    """Be as a new process, which has not imported the module."""
+    for name in ("Arm-v0", "Heavy-v0"):
+        gymnasium.registry.pop(name, None)
+    sys.modules.pop("arm", None)
+
+
+@pytest.fixture
+def arm_folder(elsewhere, monkeypatch):
+    """A run on a task of a module of one's own, at its end; the module is forgotten."""
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    (elsewhere / "arm.py").write_text(ARM)
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    offairl(f"{line} --out one")
+    forget_arm()
+    yield Path("one")
+    forget_arm()
+
+
+@pytest.mark.parametrize(
+    "command", ["resume one --steps 250", "resume one --seeds 5", "verify one"]
+)
+def test_no_file_s_module_is_imported_unless_the_user_names_it(command, arm_folder, capsys):
+    before = {path: path.read_bytes() for path in arm_folder.rglob("*") if path.is_file()}
+    verb = command.split()[0]
+    message = failure(command, capsys)
+    assert "one is a run on arm:Arm-v0; no module is imported because a file names it" in message
+    assert message.endswith(f"`offairl {verb} one --env-id arm:Arm-v0`")
+    wrong = failure(f"{command} --env-id arm:Heavy-v0", capsys)
+    assert "env_id is 'arm:Heavy-v0'; expected one of ('arm:Arm-v0',)" in wrong
+    assert "arm" not in sys.modules
+    assert {path: path.read_bytes() for path in before} == before
+    offairl(f"{command} --env-id arm:Arm-v0")
+
+
+def test_nor_is_it_for_python(arm_folder):
+    run = read(arm_folder)
+    for use in (
+        lambda: folders.extend(arm_folder, 250),
+        lambda: folders.verify(arm_folder),
+        lambda: folders.work(arm_folder),
+        lambda: rollout(run.policy, run.config.env_id, run.seeds, 1),
+        lambda: envs.make(run.config.env_id, 1, 0),
+    ):
+        with pytest.raises(ValueError, match="--env-id"):
+            use()
+    assert "arm" not in sys.modules
+    # Its curve, its settings and its policy can be had without.
+    assert run.returns.shape == (2, 2)
+    offairl("resume one")
+    assert "arm" not in sys.modules
+
+
+def test_what_a_command_names_its_processes_import(arm_folder, capsys):
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    offairl(f"{line} --out both --processes 2 --prepare")
+    forget_arm()
+    assert "--env-id arm:Arm-v0`" in failure("resume both --processes 2", capsys)
+    offairl("resume both --processes 2 --env-id arm:Arm-v0")
+    assert read("both").returns.shape == (2, 2)
+    forget_arm()
+    offairl(f"{line} --out both --processes 2")  # All is there; the same command goes on.
+
+
+def test_what_stops_a_run_says_how_to_go_on_with_it(arm_folder, capsys, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Collector, "step", stop)
+    message = failure("resume one --steps 250 --env-id arm:Arm-v0", capsys)
+    assert message == "offairl: stopped; `offairl resume one --env-id arm:Arm-v0` goes on"
 
 
 def test_a_folder_may_have_the_name_of_an_experiment(elsewhere):
@@ -607,7 +685,7 @@ def test_large_networks_are_compiled_and_spread(
         assert made[0][0] == "seeds-0-1-2"
 
 
-def test_a_record_is_verified(capsys, elsewhere):
+def test_a_record_is_verified(capsys, elsewhere, monkeypatch):
     offairl(f"run maze-expert {SMALL} --out one")
     offairl("verify one --evaluations 2")
     assert "the same, every return of every episode" in capsys.readouterr().out
@@ -616,10 +694,14 @@ def test_a_record_is_verified(capsys, elsewhere):
     fields = rows[1].split(",")
     fields[4] = fields[4].replace("-", "-1", 1)
     curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
+    spec = RunSpec.read("one")
+    replace(spec, execution={**spec.execution, "compile": True}).write(Path("one"))
+    monkeypatch.setattr(Execution, "accelerate", lambda self, step: step)
     others = {"processor": "an abacus", "vectors": "ten"}
     write_json(origin, {**read_json(origin), "curve.csv": None, **others})
     message = failure("verify one", capsys)
     assert "one comes out otherwise here" in message
+    assert "its updates are compiled, and every compiler rounds in its own way" in message
     assert "processor: an abacus, here" in message
     assert "vectors: ten, here" in message
     assert "(the environment variable ATEN_CPU_CAPABILITY sets them)" in message

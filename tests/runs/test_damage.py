@@ -24,15 +24,19 @@ SEEDS = (3, 7)
 class Troubled(Arm):
     """A task that gets into trouble at one step of all, until it is mended."""
 
-    trouble, clock = None, 0
+    trouble, clock, at = None, 0, 150
 
     def step(self, action):
         Troubled.clock += 1
         obs, reward, *rest = super().step(action)
-        if Troubled.trouble is not None and Troubled.clock == 150:
-            if Troubled.trouble == "raises":
+        if Troubled.trouble is not None and Troubled.clock == Troubled.at:
+            what, number = Troubled.trouble
+            if what == "raises":
                 raise ZeroDivisionError("a bug of my own")
-            reward = Troubled.trouble
+            if what == "reward":
+                reward = number
+            else:
+                obs[1] = number
         return obs, reward, *rest
 
 
@@ -262,23 +266,23 @@ def troubled(own, plain, folder, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("trouble", "kind", "words"),
     [
-        (
-            np.nan,
-            ValueError,
-            "observation or reward is nan, not within ±1e+08; mend ownbot/Troubled-v0",
-        ),
-        (
-            np.inf,
-            ValueError,
-            "observation or reward is nan, not within ±1e+08; mend ownbot/Troubled-v0",
-        ),
-        ("raises", TaskError, "has failed in its step, ZeroDivisionError: a bug of my own"),
+        (("reward", np.nan), ValueError, "its reward is nan, not within ±1e+08; mend ownbot/"),
+        (("reward", np.inf), ValueError, "its reward is inf, not within ±1e+08; mend ownbot/"),
+        (("reward", -1e9), ValueError, "its reward is -1e+09, not within ±1e+08; mend ownbot/"),
+        (("obs", np.nan), ValueError, r"its observation\[1\] is nan, not within ±1e+08; mend"),
+        (("obs", 1e30), ValueError, r"its observation\[1\] is 1e\+30, not within ±1e+08; mend"),
+        (("obs", -3e8), ValueError, r"its observation\[1\] is -3e\+08, not within ±1e+08; mend"),
+        (("raises", 0), TaskError, "has failed in its step, ZeroDivisionError: a bug of my own"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:seed . diverged", "ignore:overflow encountered")
+@pytest.mark.parametrize(("at", "step"), [(30, 14), (150, 69)])  # In the warm-up, and after it.
+@pytest.mark.filterwarnings("ignore:seed . diverged")
 def test_nothing_is_lost_once_the_task_is_mended(
-    trouble, kind, words, troubled, folder, monkeypatch
+    trouble, kind, words, at, step, troubled, folder, monkeypatch
 ):
+    words = words.replace("e+08", r"e\+08").replace("e+09", r"e\+09")
+    words = words if kind is TaskError else f"seed 7 diverged by step {step}: {words}"
+    monkeypatch.setattr(Troubled, "at", at)
     monkeypatch.setattr(Troubled, "trouble", trouble)
     with pytest.raises(kind, match=words) as found:
         folders.work(folder, progress=False)
@@ -293,8 +297,20 @@ def test_nothing_is_lost_once_the_task_is_mended(
 
 
 @pytest.mark.filterwarnings("ignore:seed . diverged")
+@pytest.mark.parametrize("trouble", [("obs", 1e30), ("reward", np.nan)])
+def test_an_evaluation_notices_trouble_too(trouble, troubled, folder, monkeypatch):
+    monkeypatch.setattr(Troubled, "at", 105)
+    monkeypatch.setattr(Troubled, "trouble", trouble)
+    with pytest.raises(ValueError, match=r"seed . diverged by step 50: its observation or reward"):
+        folders.work(folder, progress=False)
+    monkeypatch.setattr(Troubled, "trouble", None)
+    folders.work(folder, progress=False)
+    assert (folder / "curve.csv").read_bytes() == (troubled / "curve.csv").read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore:seed . diverged")
 def test_the_command_says_so_too(troubled, folder, monkeypatch):
-    monkeypatch.setattr(Troubled, "trouble", np.nan)
+    monkeypatch.setattr(Troubled, "trouble", ("reward", np.nan))
     with pytest.raises(SystemExit, match=r"mend ownbot/.*; `offairl resume .* goes on from step "):
         cli.main(["resume", str(folder)])
 

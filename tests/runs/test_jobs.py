@@ -121,8 +121,10 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
-def test_a_job_trains_one_run_folder():
-    assert jobs.command(Path("one"))[1:] == ["-m", "offairl_lite.runs.folders", "one"]
+def test_a_job_trains_one_run_folder_on_the_task_that_it_is_told(tmp_path):
+    (tmp_path / "config.json").write_text('{"config": {"env_id": "my_robot:Arm-v0"}}')
+    told = ["-m", "offairl_lite.runs.folders", str(tmp_path), "my_robot:Arm-v0"]
+    assert jobs.command(tmp_path)[1:] == told
 
 
 def test_all_is_done(engine, prepare, capsys):
