@@ -4,6 +4,7 @@ Every message says what was found and what to do, without a traceback, and nothi
 """
 
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
-from offairl_lite.runs import cli
+from offairl_lite.runs import cli, records
 
 MAZE, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 SMALL = (
@@ -169,7 +170,14 @@ ROWS = [
     ("resume done --seeds -4", "seeds", "-4", "0"),
     ("resume done --seeds 5 5", "not all new"),
     ("resume damaged", "curve.csv is damaged", "bring all of damaged back"),
+    ("resume done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
+    ("resume strange", "no module is imported", "`offairl resume strange --env-id evil:Evil-v0`"),
+    ("resume strange --env-id other:Evil-v0", "env_id is 'other:Evil-v0'", "evil:Evil-v0"),
+    ("resume strange --env-id evil:Evil-v0", "No module named 'evil'", "PYTHONPATH"),
+    ("resume strange --steps 300", "no module is imported", "--env-id evil:Evil-v0"),
     ("verify nowhere", "no run in", "nowhere"),
+    ("verify done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
+    ("verify strange", "no module is imported", "`offairl verify strange --env-id evil:Evil-v0`"),
     ("verify done --evaluations 0", "evaluations is 0", "has 1"),
     ("verify done --evaluations 9", "evaluations is 9", "has 1"),
     ("verify damaged", "curve.csv is damaged", "bring all of damaged back"),
@@ -262,6 +270,10 @@ def place(tmp_path_factory):
             "demos Pendulum-v1 --policy mine --dataset own/pendulum-v0 --trajectories 2",
         ):
             cli.main(line.split())
+        shutil.copytree("begun", "strange")
+        about = records.read_json(Path("begun/config.json"))
+        about["config"]["env_id"] = "evil:Evil-v0"
+        records.write_json(Path("strange/config.json"), about)
         curve = Path("damaged/curve.csv")
         curve.write_text(curve.read_text().replace("-", "-1", 1))
         yield place
@@ -274,7 +286,7 @@ def names(place):
 
 def test_there_are_many_rows_and_each_is_there_once():
     lines = [line for line, *_ in ROWS]
-    assert len(lines) == len(set(lines)) >= 120
+    assert len(lines) == len(set(lines)) >= 180
 
 
 @pytest.mark.parametrize(("line", "words"), [(line, words) for line, *words in ROWS])
