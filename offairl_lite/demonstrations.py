@@ -244,7 +244,9 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
         if not complete():
             # No other process is writing, so an incomplete data set was abandoned.
             shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-            _compare(generate(policy, env_id, trajectories, dataset_id), env_id)
+            made = generate(policy, env_id, trajectories, dataset_id)
+            assert made is not None  # Those of a `Policy` come back.
+            _compare(made, env_id)
     return dataset_id
 
 

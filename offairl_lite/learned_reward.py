@@ -39,11 +39,8 @@ class _Payer:
             many = f"the reward of {reward.env_id} has {len(reward)} members, and one of them pays"
             raise ValueError(f"{many}: choose it, member=0 to {len(reward) - 1}")
         self.reward = reward.member(member or 0).to("cpu")
-        sees, (obs_dim,), (action_dim,) = (
-            reward.normaliser.mean.shape[-1],
-            seen.shape,
-            self.units.shape,
-        )
+        (obs_dim,), (action_dim,) = seen.shape, self.units.shape
+        sees = reward.normaliser.mean.shape[-1]
         takes = action_dim if reward.state_only else reward.net.sizes[0] - sees
         if sees not in (obs_dim, obs_dim + 1) or takes != action_dim:
             raise ValueError(
@@ -94,9 +91,11 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
         task = _name(env), env.observation_space, env.action_space
         self._pay = _Payer(task, reward, member, discount)
 
-    def reset(self, **options: Any) -> tuple[np.ndarray, dict]:
+    def reset(
+        self, *, seed: int | None = None, options: dict | None = None
+    ) -> tuple[np.ndarray, dict]:
         """Start a new episode."""
-        obs, info = self.env.reset(**options)
+        obs, info = self.env.reset(seed=seed, options=options)
         self._seen = _copy(obs)
         return obs, info
 
@@ -126,9 +125,9 @@ class LearnedRewardVector(VectorWrapper):
         self._pay = _Payer(task, reward, member, discount)
         self._resets = np.zeros(self.num_envs, bool)
 
-    def reset(self, **options: Any) -> tuple[np.ndarray, dict]:
-        """Start new episodes."""
-        obs, info = self.env.reset(**options)
+    def reset(self, *, seed: Any = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        """Start new episodes; `seed` is one, or one for each environment."""
+        obs, info = self.env.reset(seed=seed, options=options)
         self._seen, self._resets = _copy(obs), np.zeros_like(self._resets)
         return obs, info
 
