@@ -125,8 +125,10 @@ def minari_folder(tmp_path, monkeypatch):
 def write_dataset(minari_folder):
     """Write a Minari data set of random episodes, after `change(episode)` has had its way."""
 
-    def write(dataset_id, env_id="Pendulum-v1", episodes=2, change=lambda episode: None):
-        env, buffers = gymnasium.make(env_id), []
+    def write(
+        dataset_id, env_id="Pendulum-v1", episodes=2, change=lambda episode: None, **arguments
+    ):
+        env, buffers = gymnasium.make(env_id, **arguments), []
         env.action_space.seed(0)
         for i in range(episodes):
             obs, done = [env.reset(seed=i)[0]], False
@@ -148,11 +150,12 @@ def write_dataset(minari_folder):
             )
             change(episode)
             buffers.append(episode)
+        env.close()
         return minari.create_dataset_from_buffers(
             dataset_id,
             buffers,
-            env=env_id,
-            eval_env=env_id,
+            env=env,
+            eval_env=env,
             algorithm_name="random",
             author="tests",
             author_email="-",
