@@ -28,24 +28,25 @@ BelowOne = Annotated[float, "in [0, 1)", lambda x: 0 <= x < 1]
 
 
 class _Payer:
-    """What one member of a reward pays on a `task`: its id and its two spaces."""
+    """What one member of a reward pays on a `task`: an environment, and the spaces of one."""
 
     def __init__(
         self, task: Any, reward: Reward | str | PathLike, member: int | None, discount: float
     ) -> None:
-        seen, self.units = require_boxes(*task)
+        env_id = task[0].spec.id if task[0].spec else str(task[0])
+        seen, self.units = require_boxes(env_id, *task[1:])
         reward = reward if isinstance(reward, Reward) else load_one(reward, Reward)
         if member is None and len(reward) > 1:
             many = f"the reward of {reward.env_id} has {len(reward)} members, and one of them pays"
             raise ValueError(f"{many}: choose it, member=0 to {len(reward) - 1}")
-        self.reward = reward.member(member or 0).to("cpu")
+        self.reward = reward.member(0 if member is None else member).to("cpu")
         (obs_dim,), (action_dim,) = seen.shape, self.units.shape
         sees = reward.normaliser.mean.shape[-1]
         takes = action_dim if reward.state_only else reward.net.sizes[0] - sees
         if sees not in (obs_dim, obs_dim + 1) or takes != action_dim:
             raise ValueError(
                 f"the reward of {reward.env_id} sees {sees} numbers of an observation (one more "
-                f"where it knows of an absorbing state) and {takes} of an action; {task[0]} has "
+                f"where it knows of an absorbing state) and {takes} of an action; {env_id} has "
                 f"{obs_dim} and {action_dim}: wrap a task like {reward.env_id}"
             )
         discount, self.rest = checked("discount", discount, BelowOne), 0.0
@@ -88,7 +89,7 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
     ) -> None:
         RecordConstructorArgs.__init__(self, reward=reward, member=member, discount=discount)
         super().__init__(env)
-        task = _name(env), env.observation_space, env.action_space
+        task = env, env.observation_space, env.action_space
         self._pay = _Payer(task, reward, member, discount)
 
     def reset(
@@ -121,7 +122,7 @@ class LearnedRewardVector(VectorWrapper):
         discount: float = 0.99,
     ) -> None:
         super().__init__(env)
-        task = _name(env), env.single_observation_space, env.single_action_space
+        task = env, env.single_observation_space, env.single_action_space
         self._pay = _Payer(task, reward, member, discount)
         self._resets = np.zeros(self.num_envs, bool)
 
@@ -146,7 +147,3 @@ class LearnedRewardVector(VectorWrapper):
 def _copy(obs: np.ndarray) -> Float32[Tensor, "N O"]:
     """Return observations as a reward sees them: a copy, since a task may overwrite its own."""
     return torch.tensor(np.atleast_2d(obs), dtype=torch.float32)
-
-
-def _name(env: gymnasium.Env | VectorEnv) -> str:
-    return env.spec.id if env.spec else str(env)

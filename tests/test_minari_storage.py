@@ -1,5 +1,6 @@
 """Data sets that fit a task and data sets that do not."""
 
+import gc
 from contextlib import closing
 
 import gymnasium
@@ -77,6 +78,7 @@ def test_data_of_another_task_that_fit_are_taken_and_the_log_says_so(own, write_
     assert "nothing else tells the two tasks apart" in message
 
 
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
 def test_a_public_data_set_is_taken_by_its_name(minari_folder, caplog):
     """One that is made as Minari's own are, by its collector, with pictures to be seen."""
     pytest.importorskip("jax", reason="Minari's collector needs it: pip install 'minari[create]'")
@@ -89,6 +91,8 @@ def test_a_public_data_set_is_taken_by_its_name(minari_folder, caplog):
                 pass
         about = dict.fromkeys(("algorithm_name", "author", "author_email", "description"), "-")
         env.create_dataset(name, eval_env="Hopper-v5", code_permalink="-", **about)
+    del env
+    gc.collect()  # Minari leaves its temporary folders to be removed by this.
     data = load("Hopper-v5", 2, name)
     assert (len(data), data.transitions.obs.shape[1]) == (2, 11)
     assert data.transitions.terminated.sum() == 2
