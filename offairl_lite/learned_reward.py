@@ -1,10 +1,11 @@
-"""The learned reward in anybody's trainer: Gymnasium wrappers that pay it instead of the task's.
+r"""The learned reward in anybody's trainer: Gymnasium wrappers that pay it instead of the task's.
 
 They pay what retraining on a frozen reward maximises (`core.loop`). The reward sees the observation
 in which an action was chosen, not the next one, and actions scaled to [-1, 1]. If it knows of an
-absorbing state, a termination is paid the rest of the return at once, $r + \\gamma r(s_a) / (1 -
-\\gamma)$; a truncation is not. What `reward_scale` and `centre_reward` do is left to the trainer:
-`gymnasium.wrappers.TransformReward` multiplies the reward or takes off a constant.
+absorbing state, a termination is paid the rest of the return at once,
+$r + \gamma \, r(s_a) / (1 - \gamma)$; a truncation is not. What `reward_scale` and `centre_reward`
+do is left to the trainer: `gymnasium.wrappers.TransformReward` multiplies the reward, or takes off
+a constant.
 """
 
 from os import PathLike
