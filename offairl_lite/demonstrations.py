@@ -5,15 +5,19 @@ import json
 import logging
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
+import gymnasium
 import numpy as np
 import torch
 from filelock import FileLock, Timeout
+from gymnasium.spaces import Box
+from jaxtyping import Float
 from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
@@ -21,7 +25,15 @@ from offairl_lite import envs, minari_storage
 from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
-from offairl_lite.core.rollouts import Episodes, faulty, require_actions, rollout
+from offairl_lite.core.rollouts import (
+    LONGEST,
+    Episodes,
+    episode_seeds,
+    faulty,
+    require_actions,
+    require_end,
+    rollout,
+)
 from offairl_lite.minari_storage import Recording, outside, write
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
@@ -191,7 +203,7 @@ def load(
             raise FileNotFoundError(
                 f"Minari has no local data set {dataset_id!r}; it has "
                 f"{', '.join(known) or 'no data set at all'}. "
-                "Download one with `minari download`, make one of recordings with "
+                f"Download it with `minari download {dataset_id}`, make one of recordings with "
                 "`demonstrations.write`, or have `offairl demos --policy` make one"
             )
         if not {"observation_space", "action_space"} <= known[dataset_id].keys():
@@ -233,23 +245,53 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
         if not complete():
             # No other process is writing, so an incomplete data set was abandoned.
             shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-            _compare(generate(policy, env_id, trajectories, dataset_id), env_id)
+            made = generate(policy, env_id, trajectories, dataset_id)
+            assert made is not None  # Those of a `Policy` come back.
+            _compare(made, env_id)
     return dataset_id
 
 
-def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) -> Episodes:
-    """Write a Minari data set of a policy's first episodes, divided evenly among its members.
+def generate(
+    policy: Policy | Callable[[Float[np.ndarray, "O"]], Float[np.ndarray, "A"]],
+    env_id: str,
+    trajectories: int,
+    dataset_id: str,
+) -> Episodes | None:
+    """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
-    Actions are sampled, as maximum-entropy experts act. With n members, experts or the seeds of a
-    run of your own, episode `i` is episode `i // n` of member `i % n`. The name must be new, such
-    as `own/trained-v0`; errors are those of `minari_storage.write`. Returns the first `BLOCK`
-    episodes of each member.
+    A function takes one observation, as the task gives it, and returns one action in the task's own
+    units: a controller of yours, or `lambda obs: model.predict(obs, deterministic=True)[0]` for a
+    model of Stable-Baselines3. It is a ValueError, with the episode and the step, if an action does
+    not fit the task.
+
+    The actions of a `Policy` are sampled, as maximum-entropy experts act. With n members, experts
+    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. Returned
+    are then the first `BLOCK` episodes of each member.
+
+    The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
     """
     # Everything that can go wrong is checked before minutes of work.
     checked("trajectories", trajectories, Count)
     minari_storage.require_new(dataset_id)
     *_, units = minari_storage.closed_task(env_id)
-    require_actions(policy, units)
+    if isinstance(policy, Policy):
+        require_actions(policy, units)
+        first, recordings = _sampled(policy, env_id, trajectories, units)
+        by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
+        algorithm = type(policy.actor).__name__
+    elif callable(policy):
+        first, recordings = None, _played(policy, env_id, trajectories, units)
+        by, algorithm = f"Episodes of {policy}.", getattr(policy, "__name__", "unknown")
+    else:
+        raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
+    write(recordings, env_id, dataset_id, algorithm=algorithm, description=by)
+    return first
+
+
+def _sampled(
+    policy: Policy, env_id: str, trajectories: int, units: Box
+) -> tuple[Episodes, list[Recording]]:
+    """Return the first `BLOCK` episodes of each member, and as many recordings as are wanted."""
     middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
     first = made = first_episodes(policy, env_id)
     recordings = []
@@ -264,9 +306,44 @@ def generate(policy: Policy, env_id: str, trajectories: int, dataset_id: str) ->
         action = np.clip(middle + half * made.action[at][:length], units.low, units.high)
         reward = made.reward[at][:length]
         recordings.append(Recording(obs, action, bool(made.terminated[at]), reward))
-    by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
-    write(recordings, env_id, dataset_id, algorithm=type(policy.actor).__name__, description=by)
-    return first
+    return first, recordings
+
+
+def _played(
+    act: Callable[[np.ndarray], np.ndarray], env_id: str, trajectories: int, units: Box
+) -> list[Recording]:
+    """Return episodes of a function that acts."""
+    recordings, seeds = [], episode_seeds((0,), trajectories, PURPOSE)
+    with closing(gymnasium.make(env_id)) as env:
+        for i, seed in enumerate(tqdm(seeds, unit="episode", desc=f"demonstrations of {env_id}")):
+            # Copies, since whoever acts, and the task, may go on writing into their own.
+            obs, actions, rewards = [np.array(env.reset(seed=seed)[0])], list[np.ndarray](), []
+            terminated = truncated = False
+            while not (terminated or truncated):
+                require_end(env_id, len(actions), LONGEST)
+                action = act(obs[-1].copy())
+                _require_action(action, units, f"episode {i}, step {len(actions)}")
+                actions.append(np.array(action, units.dtype))
+                seen, reward, terminated, truncated, _ = env.step(actions[-1].copy())
+                obs.append(np.array(seen))
+                rewards.append(float(reward))
+            parts = np.stack(obs), np.stack(actions), bool(terminated), np.array(rewards)
+            recordings.append(Recording(*parts))
+    return recordings
+
+
+def _require_action(action: Any, units: Box, where: str) -> None:
+    """Raise ValueError, with the episode and the step, unless a task can take an action."""
+    with suppress(ValueError, TypeError):  # What is no array is refused below.
+        given = np.asarray(action)
+        like = given.shape == units.shape and given.dtype.kind in "biuf"
+        if like and np.isfinite(given).all() and not minari_storage.outside(given, units).any():
+            return
+    raise ValueError(
+        f"{where}: the action is {action!r}; expected finite numbers in the task's own units, "
+        f"{units}: mend the policy, or clip what it returns (a model of Stable-Baselines3: "
+        "model.predict(obs)[0])"
+    )
 
 
 def first_episodes(policy: Policy, env_id: str, first: int = 0) -> Episodes:

@@ -115,16 +115,22 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
             f"{dataset_id}: {trajectories} trajectories were asked for; it has "
             f"{dataset.total_episodes}: give --trajectories {dataset.total_episodes}, or fewer"
         )
-    parts = []
+    parts, made_on = [], _other_task(dataset.spec.env_spec, env_id)
     for i in range(trajectories):
         where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
         with _reading(where):
             (episode,) = dataset.iterate_episodes([i])
-        _check(episode, where, seen, units)
+        try:
+            _check(episode, where, seen, units)
+        except ValueError as error:
+            if not made_on:
+                raise
+            raise ValueError(
+                f"{error}. It was made on {made_on}: give a data set of {env_id}, or that task "
+                "(one with arguments has to be registered with them, under an id of your own)"
+            ) from None
         parts.append(_transitions(episode, units))
-    made_on = dataset.spec.env_spec and dataset.spec.env_spec.id
-    # The module that registers a task may be named before its id.
-    if made_on and made_on.split(":")[-1] != env_id.split(":")[-1]:
+    if made_on:
         # Neither an error nor a warning, which may be turned into an error: it may be intended.
         log.warning(
             f"The data set {dataset_id} was made on {made_on}, and is taken for demonstrations of "
@@ -133,6 +139,21 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
         )
     transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
+
+
+def _other_task(made_on: EnvSpec | None, env_id: str) -> str:
+    """Return what a data set was made on if that is not `env_id`: its id, or its arguments."""
+    if made_on is None:
+        return ""
+    # As a data set keeps it, where tuples are lists.
+    here = EnvSpec.from_json(_storable(envs.spec(env_id)).to_json())
+    # The module that registers a task may be named before its id; a picture changes no step.
+    name, has = made_on.id.split(":")[-1], here.kwargs
+    given = {k: v for k, v in made_on.kwargs.items() if k != "render_mode" and v != has.get(k)}
+    if name == here.id:
+        return f"{name} with {given}" * bool(given)
+    family = name.rpartition("-v")[0] == here.id.rpartition("-v")[0]
+    return name + ", another version of the task" * family
 
 
 @contextmanager

@@ -18,9 +18,10 @@ from minari.data_collector.episode_buffer import EpisodeBuffer
 from offairl_lite import demonstrations as module
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED
-from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian, unsquash
 from offairl_lite.core.replay import Batch
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 
@@ -124,8 +125,10 @@ def minari_folder(tmp_path, monkeypatch):
 def write_dataset(minari_folder):
     """Write a Minari data set of random episodes, after `change(episode)` has had its way."""
 
-    def write(dataset_id, env_id="Pendulum-v1", episodes=2, change=lambda episode: None):
-        env, buffers = gymnasium.make(env_id), []
+    def write(
+        dataset_id, env_id="Pendulum-v1", episodes=2, change=lambda episode: None, **arguments
+    ):
+        env, buffers = gymnasium.make(env_id, **arguments), []
         env.action_space.seed(0)
         for i in range(episodes):
             obs, done = [env.reset(seed=i)[0]], False
@@ -147,11 +150,12 @@ def write_dataset(minari_folder):
             )
             change(episode)
             buffers.append(episode)
+        env.close()
         return minari.create_dataset_from_buffers(
             dataset_id,
             buffers,
-            env=env_id,
-            eval_env=env_id,
+            env=env,
+            eval_env=env,
             algorithm_name="random",
             author="tests",
             author_email="-",
@@ -172,6 +176,18 @@ def shipped_experts(tmp_path, monkeypatch):
     policy.save(tmp_path / "experts" / "PointMazeLeft.safetensors")
     monkeypatch.setattr(module, "EXPERTS", tmp_path / "experts")
     return policy
+
+
+@pytest.fixture
+def frozen_reward():
+    """Make a random reward; it sees the state alone where `action_dim` is 0."""
+
+    def make(members, env_id="offairl/PointMazeLeft-v0", obs_dim=3, action_dim=0):
+        net = StackedMLP((obs_dim + action_dim, 4, 1), "tanh")
+        params = net.init(Rng(range(members)))
+        return Reward(env_id, net, not action_dim, params, Normaliser.identity(members, obs_dim))
+
+    return make
 
 
 @pytest.fixture

@@ -180,6 +180,55 @@ def test_a_policy_of_one_s_own_makes_a_data_set(
     assert not caplog.records
 
 
+def test_a_controller_of_one_s_own_makes_a_data_set(own, minari_folder, caplog):
+    """It sees what the task gives, and its actions are in the task's units and types."""
+    arm, seen = own("ownbot/Arm-v0"), []
+
+    def controller(obs):
+        seen.append(obs.copy())
+        obs[:] = 7  # What it does to its observation is its own business.
+        return [3.5, abs(np.sin(len(seen)))]
+
+    assert demonstrations.generate(controller, arm, 3, "own/scripted-v0") is None
+    data = load(arm, 3, "own/scripted-v0")
+    assert data.lengths == (5, 5, 5)
+    np.testing.assert_array_equal(data.transitions.obs, seen)
+    action = minari.load_dataset("own/scripted-v0")[0].actions
+    assert action.dtype == np.float32
+    np.testing.assert_allclose(action[:, 0], 3.5)
+    np.testing.assert_allclose(data.transitions.action[:, 0], 2 * (3.5 + 2) / 6 - 1, atol=1e-6)
+    # Other episodes begin elsewhere, and the same ones again come out the same.
+    assert len({row[0] for row in seen[::5]}) == 3
+    demonstrations.generate(controller, arm, 2, "own/again-v0")
+    again = load(arm, 2, "own/again-v0").transitions.obs
+    np.testing.assert_array_equal(again[::5], np.stack(seen[:10:5]))
+    assert not caplog.records
+
+
+def test_a_controller_can_fall(minari_folder):
+    demonstrations.generate(lambda obs: np.ones(3), "Hopper-v5", 2, "own/falls-v0")
+    data = load("Hopper-v5", 2, "own/falls-v0")
+    ends = np.cumsum(data.lengths) - 1
+    assert (ends < 500).all()
+    assert data.transitions.terminated.nonzero().flatten().tolist() == ends.tolist()
+    assert (data.returns > 0).all()
+
+
+def test_a_model_of_stable_baselines_makes_a_data_set(minari_folder):
+    sb3 = pytest.importorskip(
+        "stable_baselines3",
+        reason="stable-baselines3 is not installed: pip install -e '.[sb3]'",
+    )
+    model = sb3.PPO("MlpPolicy", "Pendulum-v1", n_steps=16, batch_size=16, seed=0, device="cpu")
+    model.learn(16)
+    act = lambda obs: model.predict(obs, deterministic=True)[0]  # noqa: E731 (as people write it)
+    demonstrations.generate(act, "Pendulum-v1", 2, "own/sb3-v0")
+    data = load("Pendulum-v1", 2, "own/sb3-v0")
+    assert data.lengths == (200, 200)
+    want = model.predict(data.transitions.obs.numpy(), deterministic=True)[0] / 2
+    np.testing.assert_allclose(data.transitions.action, want, atol=1e-5)
+
+
 def test_a_task_is_named_with_its_module(arm_policy, tmp_path, minari_folder, monkeypatch, caplog):
     (tmp_path / "bots.py").write_text(
         "import gymnasium\nfrom own_task import Arm\n"

@@ -1,5 +1,8 @@
 """Data sets that fit a task and data sets that do not."""
 
+import gc
+from contextlib import closing
+
 import gymnasium
 import minari
 import numpy as np
@@ -73,6 +76,70 @@ def test_data_of_another_task_that_fit_are_taken_and_the_log_says_so(own, write_
         f"own/light-v0 was made on {light}, and is taken for demonstrations of {heavy}" in message
     )
     assert "nothing else tells the two tasks apart" in message
+
+
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
+def test_a_public_data_set_is_taken_by_its_name(minari_folder, caplog):
+    """One that is made as Minari's own are, by its collector, with pictures to be seen."""
+    pytest.importorskip("jax", reason="Minari's collector needs it: pip install 'minari[create]'")
+    name = "mujoco/hopper/expert-v0"
+    task = gymnasium.make("Hopper-v5", render_mode="rgb_array")
+    with closing(minari.DataCollector(task)) as env:
+        for seed in (0, 1):
+            env.reset(seed=seed)
+            while not env.step(np.ones(3, np.float32))[2]:
+                pass
+        about = dict.fromkeys(("algorithm_name", "author", "author_email", "description"), "-")
+        env.create_dataset(name, eval_env="Hopper-v5", code_permalink="-", **about)
+    del env
+    gc.collect()  # Minari leaves its temporary folders to be removed by this.
+    data = load("Hopper-v5", 2, name)
+    assert (len(data), data.transitions.obs.shape[1]) == (2, 11)
+    assert data.transitions.terminated.sum() == 2
+    assert not caplog.records
+
+
+def test_a_data_set_that_is_not_here_yet_can_be_downloaded(minari_folder):
+    with pytest.raises(FileNotFoundError, match="`minari download mujoco/hopper/medium-v0`"):
+        load("Hopper-v5", 2, "mujoco/hopper/medium-v0")
+
+
+@pytest.mark.filterwarnings("ignore:.*The environment Hopper-v4 is out of date")
+def test_another_version_that_fits_is_taken_and_the_log_says_so(write_dataset, caplog):
+    write_dataset("mujoco/hopper/old-v0", "Hopper-v4")
+    assert load("Hopper-v5", 2, "mujoco/hopper/old-v0").env_id == "Hopper-v5"
+    (message,) = caplog.messages
+    assert "was made on Hopper-v4, another version of the task, and is taken" in message
+
+
+def test_other_arguments_that_fit_are_taken_and_the_log_says_so(write_dataset, caplog):
+    write_dataset("mujoco/hopper/long-v0", "Hopper-v5", healthy_reward=3.0)
+    load("Hopper-v5", 2, "mujoco/hopper/long-v0")
+    (message,) = caplog.messages
+    assert "was made on Hopper-v5 with {'healthy_reward': 3.0}, and is taken" in message
+
+
+@pytest.mark.filterwarnings("ignore:.*The environment Ant-v4 is out of date")
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "made_on"),
+    [
+        ("Ant-v4", {}, "Ant-v4, another version of the task"),
+        (
+            "Ant-v5",
+            {"include_cfrc_ext_in_observation": False},
+            r"Ant-v5 with \{'include_cfrc_ext_in_observation': False\}",
+        ),
+        ("Hopper-v5", {}, "Hopper-v5"),
+    ],
+)
+def test_another_version_that_does_not_fit_is_named(write_dataset, env_id, arguments, made_on):
+    write_dataset("mujoco/ant/expert-v0", env_id, **arguments)
+    message = (
+        r"expert-v0, episode 0, for the task Ant-v5: expected observations of shape \(\d+, 105\); "
+        rf"found \(\d+, (27|11)\)\. It was made on {made_on}: give a data set of Ant-v5, or that"
+    )
+    with pytest.raises(ValueError, match=message):
+        load("Ant-v5", 2, "mujoco/ant/expert-v0")
 
 
 @pytest.mark.filterwarnings("ignore:.* is (set to )?None")

@@ -99,6 +99,15 @@ def require_fit(policy: Policy, env: envs.BatchedEnv | envs.SerialEnv) -> None:
     require_actions(policy, env.single_action_space)
 
 
+def require_end(env_id: str, steps: int, limit: int) -> None:
+    """Raise ValueError if an episode has gone on for as many steps as it may last."""
+    if steps == limit:
+        raise ValueError(
+            f"an episode of {env_id} has not ended after {limit:,} steps: give the task a time "
+            "limit, gymnasium.register(..., max_episode_steps=1000)"
+        )
+
+
 @torch.no_grad()
 def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.ndarray, "A"]:
     """Return what a one-member policy does: its mode, in the units of the task.
@@ -160,11 +169,7 @@ def rollout(
         require_fit(policy, env)
         obs, _ = env.reset()
         while running.any():
-            if len(steps) == limit:
-                raise ValueError(
-                    f"an episode of {env_id} has not ended after {limit:,} steps: give the task a "
-                    "time limit, gymnasium.register(..., max_episode_steps=1000)"
-                )
+            require_end(env_id, len(steps), limit)
             x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
             noise = rng.normal(action_dim).view(*shape, -1) if sample else None
             action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()

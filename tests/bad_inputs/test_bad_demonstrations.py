@@ -104,6 +104,40 @@ def test_no_recording_is_written_with(refused, arm, minari_folder, recording, wo
     assert not (minari_folder / "own").exists()
 
 
+SHAPE = "the action is ...; expected finite numbers in the task's own units, Box([-2...[4. 1.]"
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        (np.array([np.nan, 0.5]), "episode 1, step 2: the action is array([nan, 0.5])"),
+        ([0.0, np.inf], "episode 1, step 2: the action is [0.0, inf]; expected finite numbers"),
+        (np.array([4.1, 0.5]), "episode 1, step 2: the action is array([4.1, 0.5])...clip what"),
+        ([0.0, -0.1], SHAPE),
+        (np.zeros(3), SHAPE),
+        (np.zeros((1, 2)), SHAPE),
+        (0.5, SHAPE),
+        (None, "the action is None; expected finite numbers"),
+        ("left", "the action is 'left'; expected finite numbers"),
+        (np.zeros(2) + 0j, SHAPE),
+        ((np.zeros(2), None), SHAPE + "...of Stable-Baselines3: model.predict(obs)[0])"),
+    ],
+)
+def test_no_controller_returns(refused, arm, minari_folder, returned, words):
+    steps = iter(range(99))
+    act = lambda obs: np.array([0, 0.5]) if next(steps) != 7 else returned  # noqa: E731
+    make = demonstrations.generate
+    refused(lambda: make(act, arm, 3, "own/wrong-v0"), words)
+    assert not (minari_folder / "own").exists()
+
+
+@pytest.mark.parametrize("policy", [None, 3, "runs/arm", np.zeros(2)])
+def test_nobody_acts_who_is_no_function(refused, arm, policy):
+    make = demonstrations.generate
+    words = f"policy is {policy!r}; expected a Policy, or a function that acts"
+    refused(lambda: make(policy, arm, 1, "own/wrong-v0"), words)
+
+
 def test_what_rounding_does_is_no_fault(arm):
     demonstrations.write([at("action", (0, 0), 4 + 1e-7)], arm, "own/good-v0")
     assert load(arm, 1, "own/good-v0").lengths == (4,)

@@ -1,5 +1,7 @@
 """Bad inputs of environments: each one is refused with a message that names it."""
 
+from contextlib import closing
+
 import gymnasium
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from own_task import BOX, Arm
 
 from offairl_lite import envs
 from offairl_lite.envs import BatchedEnv, make
+from offairl_lite.learned_reward import LearnedReward, LearnedRewardVector
 
 MAZE, PENDULUM = "offairl/PointMazeLeft-v0", "Pendulum-v1"  # A native and a serial task.
 WHOLE = "expected a whole number of at least"
@@ -200,6 +203,39 @@ def test_whole_numbers_of_numpy_are_whole_numbers(env_id):
 def test_no_task_has(refused, own, spaces, words):
     odd = own("ownbot/Odd-v0", **spaces)
     refused(lambda: make(odd, 1, 0), f"{odd}: {words}")
+
+
+@pytest.mark.parametrize("wrap", [LearnedReward, LearnedRewardVector])
+@pytest.mark.parametrize(
+    ("env_id", "reward", "given", "words"),
+    [
+        ("Pendulum-v1", {"members": 5}, {}, "has 5 members...choose it, member=0 to 4"),
+        ("Pendulum-v1", {"members": 5}, {"member": 5}, "member is 5; expected a whole number in"),
+        ("Pendulum-v1", {}, {"member": 0.0}, "member is 0.0; expected a whole number in [0, 0]"),
+        (
+            "Hopper-v5",
+            {},
+            {},
+            f"the reward of {MAZE} sees 3 numbers of an observation...and 3 of an action; "
+            f"Hopper-v5 has 11 and 3: wrap a task like {MAZE}",
+        ),
+        ("Pendulum-v1", {"obs_dim": 5}, {}, "sees 5 numbers...Pendulum-v1 has 3 and 1"),
+        ("Pendulum-v1", {"obs_dim": 2}, {}, "sees 2 numbers...Pendulum-v1 has 3 and 1"),
+        ("Pendulum-v1", {"action_dim": 2}, {}, "and 2 of an action; Pendulum-v1 has 3 and 1"),
+        ("CartPole-v1", {"obs_dim": 4}, {}, "CartPole-v1: the action space Discrete(2) is not"),
+        ("Pendulum-v1", {"obs_dim": 4}, {"discount": 1}, "discount is 1; expected a number in [0"),
+        ("Pendulum-v1", {}, {"discount": None}, "discount is None; expected a number in [0, 1)"),
+    ],
+)
+def test_no_learned_reward_is_paid_by(refused, frozen_reward, wrap, env_id, reward, given, words):
+    one = wrap is LearnedReward
+    with closing(gymnasium.make(env_id) if one else gymnasium.make_vec(env_id, 2)) as env:
+        refused(lambda: wrap(env, frozen_reward(**({"members": 1} | reward)), **given), words)
+
+
+def test_a_learned_reward_that_is_not_there_is_named(tmp_path):
+    with closing(gymnasium.make(MAZE)) as env, pytest.raises(FileNotFoundError, match="no reward"):
+        LearnedReward(env, tmp_path / "reward.safetensors")
 
 
 class Broken(Arm):

@@ -2,11 +2,13 @@
 
 import ast
 import inspect
+import os
 import re
 import shlex
 from dataclasses import fields
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
@@ -158,6 +160,68 @@ def test_recordings_become_a_data_set(tmp_path, monkeypatch):
     exec(block.replace("my_robot:Arm-v0", "Pendulum-v1"), {})
     data = demonstrations.load("Pendulum-v1", 20, "own/recorded-v0")
     assert data.lengths == (5,) * 20
+
+
+def block(word):
+    """The only Python block with a word, on a task that is here."""
+    (found,) = [block for block in blocks("python") if word in block]
+    return found.replace("my_robot:Arm-v0", "Pendulum-v1")
+
+
+@pytest.fixture
+def minari_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+
+
+@pytest.fixture
+def sb3():
+    reason = "stable-baselines3 is not installed: pip install -e '.[sb3]'"
+    return pytest.importorskip("stable_baselines3", reason=reason)
+
+
+def test_a_controller_demonstrates(minari_folder):
+    exec(block("def controller"), {})
+    assert demonstrations.load("Pendulum-v1", 50, "own/scripted-v0").lengths == (200,) * 50
+
+
+def test_a_model_demonstrates(minari_folder, sb3, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sb3.SAC("MlpPolicy", "Pendulum-v1", device="cpu").save("expert.zip")
+    exec(block("SAC.load").replace("50", "2"), {})
+    assert demonstrations.load("Pendulum-v1", 2, "own/model-v0").lengths == (200, 200)
+
+
+def test_a_task_with_other_arguments_is_registered(write_dataset):
+    arguments = {"include_cfrc_ext_in_observation": False}
+    write_dataset("mujoco/ant/own-v0", "Ant-v5", 1, **arguments)
+    try:
+        exec(block("BlindAnt"), {})
+        assert (
+            demonstrations.load("BlindAnt-v0", 1, "mujoco/ant/own-v0").transitions.obs.shape[1]
+            == 27
+        )
+    finally:
+        gymnasium.registry.pop("BlindAnt-v0", None)
+
+
+def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
+    """With SB3_TRAINS=1 the page's lines as they are: one to two minutes, and the new way is found.
+
+    Otherwise they are run with fewer steps.
+    """
+    monkeypatch.chdir(ROOT)
+    code, whole = block("VecNormalize"), "SB3_TRAINS" in os.environ
+    names = {}
+    exec(code if whole else code.replace("000", "00"), names)
+    env, model = names["env"], names["model"]
+    assert model.num_timesteps == (8000 if whole else 800)
+    env.training, own, done = False, 0.0, [False]
+    obs = env.reset()
+    while not done[0]:
+        obs, _, done, (info,) = env.step(model.predict(obs, deterministic=True)[0])
+        own += info["task_reward"]
+    assert (own > -14) or not whole
+    env.close()
 
 
 def test_the_diagnostics_can_be_read(capsys):

@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from offairl_lite.core.networks import Normaliser, StackedMLP
+from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, make_actor
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 
 MAZE = "offairl/PointMazeLeft-v0"
@@ -14,18 +13,6 @@ MAZE = "offairl/PointMazeLeft-v0"
 @pytest.fixture
 def maze(random_demonstrations):
     return random_demonstrations(MAZE)
-
-
-@pytest.fixture
-def frozen_reward():
-    """Make a random reward; it sees the state alone where `action_dim` is 0."""
-
-    def make(members, env_id=MAZE, obs_dim=3, action_dim=0):
-        net = StackedMLP((obs_dim + action_dim, 4, 1), "tanh")
-        params = net.init(Rng(range(members)))
-        return Reward(env_id, net, not action_dim, params, Normaliser.identity(members, obs_dim))
-
-    return make
 
 
 @pytest.fixture
