@@ -186,8 +186,19 @@ class _Worker:
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
             self.note("running")
+            self.draw()
         if self.done - self.saved >= self.spec.checkpoint_every:
             self.checkpoint()
+
+    def draw(self) -> None:
+        """Bring the run's picture up to date; where that fails, the run goes on without."""
+        try:
+            # Matplotlib takes a second to import, for which no other command should wait.
+            from offairl_lite.runs import pictures
+
+            pictures.draw(self.folder)
+        except Exception as error:
+            log.warning("%s could not be drawn: %r", self.folder / records.PICTURE, error)
 
     @property
     def done(self) -> int:

@@ -7,6 +7,7 @@
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
+- `curve.png`: a picture of the evaluations so far, for whoever watches; no part of the record;
 - `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
 The seeds of one run may be spread over several run folders, each trained by a process of its own:
@@ -53,6 +54,8 @@ curves can still be read."""
 
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
+
+PICTURE = "curve.png"
 
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 """Whose versions a record tells."""
