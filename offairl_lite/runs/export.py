@@ -85,6 +85,7 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
     that it has diverged.
     """
     run = records.read(folder)
+    records.beginning(out)  # It says that a file is in the way.
     members, notes = _members(run, folder, member)
     if run.policy is run.reward is None:
         inputs.load_one(folder, Policy)  # It says what to do.

@@ -44,9 +44,7 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
     The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
     `given` is what the run has of other runs, as `inputs.load` returns it.
     """
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise NotADirectoryError(f"{there} is no folder: choose another --out")
+    there = records.beginning(folder)
     taken = FileExistsError(
         f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
         "for a new one choose another --out, or remove it"

@@ -152,7 +152,8 @@ def read(folder: str | PathLike) -> Run:
         rows += _rows(path / "curve.csv", about.get("curve.csv"))
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
-    return Run(spec.config, tuple(seeds), rows, *results, diverged)
+    name = Path(folder).absolute().name
+    return Run(spec.config, tuple(seeds), rows, *results, diverged, name)
 
 
 def _results(kind: Any, folders: Iterable[Path]) -> Any:
@@ -294,6 +295,14 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def beginning(folder: Path) -> Path:
+    """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is no folder: choose another --out")
+    return there
 
 
 def require_format(path: Path, found: int) -> None:
