@@ -5,6 +5,7 @@ import warnings
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import torch
@@ -42,36 +43,24 @@ The {kind}, with PyTorch:
 """
 
 
-class Acting(torch.nn.Module):
-    """What a policy of one member does, as `core.rollouts.action`, for many observations."""
+class InUnits(torch.nn.Module):
+    """A policy or a reward of one member, with the actions of `space`: a task's own."""
 
-    def __init__(self, policy: Policy, space: Box) -> None:
+    def __init__(self, thing: Policy | Reward, space: Box) -> None:
         super().__init__()
-        require_actions(policy, space)
-        self.policy = policy
-        self.low, self.high = (torch.tensor(x).float() for x in (space.low, space.high))
-
-    def forward(self, obs: Float[Tensor, "B O"]) -> Float[Tensor, "B A"]:
-        """Return the modes, in the units of the task's actions."""
-        unit = self.policy.act(seen(self.policy, obs).unsqueeze(0)).squeeze(0)
-        return (self.low + (unit + 1) / 2 * (self.high - self.low)).clamp(self.low, self.high)
-
-
-class Judging(torch.nn.Module):
-    """A reward of one member: r(s), or r(s, a) of actions in the task's own units."""
-
-    def __init__(self, reward: Reward, space: Box) -> None:
-        super().__init__()
-        self.reward = reward
+        self.thing = thing
         self.low, self.high = (torch.tensor(x).float() for x in (space.low, space.high))
 
     def forward(
         self, obs: Float[Tensor, "B O"], action: Float[Tensor, "B A"] | None = None
-    ) -> Float[Tensor, "B"]:
-        """Return the reward of each row."""
+    ) -> Float[Tensor, "B *A"]:
+        """Return a policy's modes, as `core.rollouts.action` does, or the reward of each row."""
+        if isinstance(self.thing, Policy):
+            unit = self.thing.act(seen(self.thing, obs)[None])[0]
+            return (self.low + (unit + 1) / 2 * (self.high - self.low)).clamp(self.low, self.high)
         if action is not None:
-            action = ((action - self.low) / (self.high - self.low) * 2 - 1).unsqueeze(0)
-        return self.reward(obs.unsqueeze(0), action).squeeze(0)
+            action = ((action - self.low) / (self.high - self.low) * 2 - 1)[None]
+        return self.thing(obs[None], action)[0]
 
 
 def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
@@ -106,6 +95,8 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
             why = "it was trained on the task's own" if own else "its file is not there"
             notes.append(f"{folder} has no {kind} to export: {why}")
             continue
+        if isinstance(thing, Policy):
+            require_actions(thing, space)
         sizes = {"obs": box.shape[0], "action": space.shape[0]}
         if isinstance(thing, Policy) or thing.state_only:
             del sizes["action"]
@@ -136,22 +127,17 @@ def _write(
     thing: Policy | Reward, space: Box, sizes: dict[str, int], gives: str, path: Path
 ) -> None:
     """Write one member as a program of PyTorch and, where it is installed, as ONNX."""
-    module = Acting(thing, space) if isinstance(thing, Policy) else Judging(thing, space)
     given = tuple(torch.zeros(2, n) for n in sizes.values())
     rows = {name: {0: torch.export.Dim("rows")} for name in sizes}
     logging.disable(logging.WARNING)  # The exporters speak of packages that nobody needs here.
     try:
         with warnings.catch_warnings(action="ignore"):
+            module = InUnits(thing, space)
             program = torch.export.export(module, given, dynamic_shapes=rows)
             torch.export.save(program, path.with_suffix(".pt2"))
             if find_spec("onnxscript") is not None:
-                torch.onnx.export(
-                    program,
-                    f=path.with_suffix(".onnx"),
-                    input_names=[*sizes],
-                    output_names=[gives],
-                    external_data=False,
-                    verbose=False,
-                )
+                file, names = path.with_suffix(".onnx"), [*sizes]
+                own: Any = {"input_names": names, "output_names": [gives], "verbose": False}
+                torch.onnx.export(program, f=file, external_data=False, **own)
     finally:
         logging.disable(logging.NOTSET)
