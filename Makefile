@@ -11,7 +11,7 @@ HTML  := _build/html
 # A chapter or a laboratory note is run again when it, the package, a record or the environment has
 # changed, at each scale apart. (The usual execution caches look at the notebook alone.)
 CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
-SOURCES  := $(wildcard book/*.py) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -path '*/checkpoint/*' 2>/dev/null)
+SOURCES  := $(wildcard book/*.py) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
 # No cell may take longer than ten minutes, except at full scale.
@@ -48,7 +48,7 @@ $(STAGE)/%.run: % $(SOURCES) $(ENV) | stage
 # keeps the kernels' start-up notices out of the output.
 stage:
 	@mkdir -p $(STAGE) build/ipython/profile_default
-	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints --exclude checkpoint --exclude __pycache__ book _config.yml _toc.yml | tar -xf - -C $(STAGE)
+	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints --exclude checkpoint --exclude curve.png --exclude __pycache__ book _config.yml _toc.yml | tar -xf - -C $(STAGE)
 	@echo 'c.IPKernelApp.log_level = 40' > build/ipython/profile_default/ipython_kernel_config.py
 
 # Render the chapters as executed. A warning is an error, the next time too: forget what was read.

@@ -14,7 +14,8 @@ core.replay core.absorbing core.rollouts minari_storage demonstrations plain cor
 core.discriminator core.sac core.td3 core.ppo core.results core.collector core.requirements
 core.models core.fitting core.evaluation core.loop ablations experiments analysis.statistics
 analysis.epic analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
-learned_reward runs.checkpoints runs.jobs runs.folders runs.grid runs.launch runs.bench runs.cli
+learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders runs.grid
+runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

@@ -1,7 +1,7 @@
 """What training reports: evaluations, and the run that they make up."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class Run:
     """The result of a run: its learning curve, and the policies and rewards at its end.
 
     `diverged` gives, by seed, the reason why a member was given up. Such a member has no rows from
-    there on, and its weights are zeros.
+    there on, and its weights are zeros. `name` is that of a recorded run's folder.
     """
 
     config: Config
@@ -40,6 +40,7 @@ class Run:
     policy: Policy | None = None
     reward: Reward | None = None
     diverged: dict[int, str] = field(default_factory=dict)
+    name: str = ""
 
     @property
     def steps(self) -> np.ndarray:
@@ -52,3 +53,19 @@ class Run:
         found = {(row.seed, row.step): row.mean_return for row in self.rows}
         steps = self.steps.tolist()
         return np.array([[found.get((seed, k), np.nan) for k in steps] for seed in self.seeds])
+
+    def to_frame(self) -> Any:
+        """Return the learning curves as a pandas DataFrame, a row for each seed and evaluation.
+
+        Its columns are `run`, `task`, the fields of `Row` but for `returns`, and each metric.
+        ImportError says that pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise ImportError(
+                "pandas is not installed: pip install -e '.[frames]', in a clone"
+            ) from error
+        about = {"run": self.name, "task": self.config.env_id}
+        lines = [{**about, **row._asdict(), **row.metrics} for row in self.rows]
+        return DataFrame(lines).drop(columns=["returns", "metrics"], errors="ignore")

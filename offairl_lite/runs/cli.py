@@ -19,6 +19,7 @@ from offairl_lite.analysis import films
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.runs import export as exports
 from offairl_lite.runs import folders, inputs, launch, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
@@ -167,6 +168,22 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
+def export(run: Positional[Path], *, out: Path, member: int | None = None) -> None:
+    """Write the policies and rewards of a run for programs that know nothing of this package.
+
+    Each is an ONNX file, if ONNX is installed, and a program of PyTorch. They take the observations
+    of the task, and give and take actions in its own units. OUT/README.txt tells how to load them.
+
+    Args:
+        run: the folder of a run that has ended.
+        out: the folder for the files; those of an earlier export are overwritten.
+        member: which member of the population; by default every one that has not diverged.
+    """
+    notes = exports.export(run, out, member)
+    print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
+    print(f"exported to {out}; how to load it: {out / 'README.txt'}")
+
+
 def verify(record: Positional[Path], *, evaluations: int = 1, env_id: str | None = None) -> None:
     """Do the beginning of a recorded run again, and compare.
 
@@ -236,6 +253,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "demos": demos,
             "watch": watch,
             "tensorboard": tensorboard,
+            "export": export,
             "verify": verify,
             "bench": bench,
         }

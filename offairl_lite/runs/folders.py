@@ -44,9 +44,7 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
     The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
     `given` is what the run has of other runs, as `inputs.load` returns it.
     """
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise NotADirectoryError(f"{there} is no folder: choose another --out")
+    there = records.beginning(folder)
     taken = FileExistsError(
         f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
         "for a new one choose another --out, or remove it"
@@ -204,8 +202,19 @@ class _Worker:
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
             self.note("running")
+            self.draw()
         if self.done - self.saved >= self.spec.checkpoint_every:
             self.checkpoint()
+
+    def draw(self) -> None:
+        """Bring the run's picture up to date; where that fails, the run goes on without."""
+        try:
+            # Matplotlib takes a second to import, for which no other command should wait.
+            from offairl_lite.runs import pictures
+
+            pictures.draw(self.folder)
+        except Exception as error:
+            log.warning("%s could not be drawn: %r", self.folder / records.PICTURE, error)
 
     @property
     def done(self) -> int:

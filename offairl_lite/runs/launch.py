@@ -208,7 +208,8 @@ def _create(
         folders.create(folder, spec, own)
         space = checkpoints.in_words(checkpoints.disk_space(spec))
         updates = "compiled" if spec.execution["compile"] else "not compiled"
-        print(f"{folder} takes up to {space} of disk, mostly replay; updates: {updates}")
+        watch = f"to watch it: {folder / records.PICTURE}"
+        print(f"{folder} takes up to {space} of disk, mostly replay; updates: {updates}; {watch}")
     return data
 
 

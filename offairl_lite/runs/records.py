@@ -7,6 +7,7 @@
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
+- `curve.png`: a picture of the evaluations so far, for whoever watches; no part of the record;
 - `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
 The seeds of one run may be spread over several run folders, each trained by a process of its own:
@@ -53,6 +54,8 @@ curves can still be read."""
 
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
+
+PICTURE = "curve.png"
 
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 """Whose versions a record tells."""
@@ -150,7 +153,8 @@ def read(folder: str | PathLike) -> Run:
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
     config = spec.config.change(env_id=spec.config.env_id.rpartition(":")[2])  # see `Population`
-    return Run(config, tuple(seeds), rows, *results, diverged)
+    name = Path(folder).absolute().name
+    return Run(config, tuple(seeds), rows, *results, diverged, name)
 
 
 def _results(kind: Any, folders: Iterable[Path]) -> Any:
@@ -292,6 +296,14 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def beginning(folder: Path) -> Path:
+    """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is no folder: choose another --out")
+    return there
 
 
 def require_format(path: Path, found: int) -> None:

@@ -5,8 +5,11 @@ import inspect
 import os
 import re
 import shlex
+import sys
+from contextlib import nullcontext
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -16,6 +19,8 @@ from scipy.stats import spearmanr
 from offairl_lite import demonstrations
 from offairl_lite.analysis.statistics import interquartile_mean
 from offairl_lite.config import flat_settings
+from offairl_lite.core.loop import train
+from offairl_lite.core.rollouts import action
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import bench, cli, launch, records
 
@@ -28,6 +33,7 @@ COMMANDS = {
     "demos": cli.demos,
     "watch": cli.watch,
     "tensorboard": cli.tensorboard,
+    "export": cli.export,
     "verify": cli.verify,
 }
 SETTINGS = {*flat_settings(), "learner", "ablation"}
@@ -225,10 +231,69 @@ def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
 
 
 def test_the_diagnostics_can_be_read(capsys):
-    (block,) = [block for block in blocks("python") if "metrics" in block]
+    (block,) = [block for block in blocks("python") if "rollout" in block]
     run = RECORDS / "hopper-absorbing-demo/dac-bootstrap"
     exec(block.replace("runs/arm", str(run)), {})
     assert capsys.readouterr().out.count("\n") >= len(records.read(run).seeds) + 1
+
+
+def test_weights_and_biases_gets_every_number(monkeypatch):
+    logged, projects = [], []
+    fake = SimpleNamespace(
+        log=lambda numbers, step: logged.append((step, numbers)),
+        init=lambda project: projects.append(project) or nullcontext(),
+    )
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    callback, record = (block for block in blocks("python") if "wandb" in block)
+    known, folder = {}, RECORDS / RECIPE["Hopper"]
+    exec(callback, known)
+    exec(record.replace("runs/arm", str(folder)), known)
+    rows = records.read(folder).rows
+    assert projects == ["arm"]
+    assert [step for step, _ in logged] == [row.step for row in rows]
+    for (_, numbers), row in zip(logged, rows, strict=True):
+        assert numbers.pop(f"return/seed-{row.seed}") == row.mean_return
+        assert numbers == {f"{name}/seed-{row.seed}": x for name, x in row.metrics.items()}
+    seen = []
+    known["wandb"] = SimpleNamespace(log=lambda numbers, step: seen.append(step))
+    config = EXPERIMENTS["maze-expert"].configs["demo"]
+    config = config.change(total_steps=200, warmup_steps=100, eval_every=100, hidden=(8,))
+    train(config, (0, 1), progress=False, on_evaluation=known["to_wandb"])
+    assert seen == [100, 100, 200, 200]
+
+
+def test_results_become_tables_and_intervals(capsys):
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install -e '.[frames]'")
+    table, intervals = (b for b in blocks("python") if "pandas" in b or "rliable" in b)
+    known = {}
+    for robot, ours in (("Hopper", "arm"), ("Walker2d", "walker")):
+        for name, place in ((RECIPE[robot], ours), (OTHER[robot], f"{ours}-dac")):
+            table = table.replace(f'"runs/{place}"', f'"{RECORDS / name}"')
+    exec(table, known)
+    assert "airl" in (out := capsys.readouterr().out)
+    assert "Walker2d-v5" in out
+    # With pandas 3 it is there, and fails with a TypeError.
+    why = "rliable is not installed, or not with its pandas: pip install rliable 'pandas<3'"
+    pytest.importorskip("rliable.library", reason=why, exc_type=Exception)
+    exec(intervals, known)
+    for method, names in (("airl", RECIPE), ("dac", OTHER)):
+        columns = [records.read(RECORDS / names[robot]).returns[:, -1] for robot in RECIPE]
+        assert known["scores"][method].tolist() == np.stack(columns, 1).tolist()
+        (low,), (high,) = known["intervals"][method]
+        assert low < known["means"][method][0] < high
+
+
+def test_the_policy_acts_without_the_package(tmp_path, monkeypatch):
+    pytest.importorskip("onnxruntime", reason="ONNX is not installed: pip install -e '.[export]'")
+    monkeypatch.chdir(tmp_path)
+    (line,) = [command for command in commands() if command.startswith("offairl export")]
+    run = RECORDS / "maze-imitation-demo"
+    cli.main(shlex.split(line.replace("runs/arm", str(run)))[1:])
+    (block,) = [block for block in blocks("python") if "onnxruntime" in block]
+    exec(block, known := {})
+    space = gymnasium.make("offairl/PointMazeLeft-v0").action_space
+    wanted = action(records.read(run).policy.member(0), np.zeros(3), space)
+    assert known["action"][0] == pytest.approx(wanted, abs=1e-5)
 
 
 def late(name):
@@ -244,6 +309,7 @@ def gaps(rows):
 RECIPE = {
     robot: f"what-decides-demo/{robot}-released-fixed-short" for robot in ("Hopper", "Walker2d")
 }
+OTHER = {robot: name.replace("released", "dac") for robot, name in RECIPE.items()}
 FAILED = "locomotion-demo/HalfCheetah-airl"
 
 

@@ -16,7 +16,7 @@ from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rng import Rng
 from offairl_lite.experiments import EXPERIMENTS, configure
 from offairl_lite.runs import inputs, records
-from offairl_lite.runs.records import PACKAGES, RunSpec, read_json, run_folders
+from offairl_lite.runs.records import PACKAGES, PICTURE, RunSpec, read_json, run_folders
 from paper_figures import FIGURES, record
 
 ROOT = Path(__file__).parents[2]
@@ -137,6 +137,7 @@ NAMELESS = {"maze-transfer-demo"} | {
 }
 FILES = {"config.json", "curve.csv", "run.json", "policy.safetensors", "reward.safetensors"}
 FILES |= {f"{name}.safetensors" for name in inputs.CURES}
+FILES |= {PICTURE}  # Git ignores it.
 
 
 def cells(folder, chapter=CHAPTER):

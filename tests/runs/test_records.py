@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -244,3 +245,34 @@ def test_weights_that_do_not_fit_their_architecture_are_refused(tmp_path):
         ValueError, match=rf"params is .* \(2, 25\); expected .* \(2, {actor.net.num_params}\)"
     ):
         Policy.load(tmp_path / "x.safetensors")
+
+
+def test_a_run_becomes_a_data_frame(record):
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install -e '.[frames]'")
+    run = read(record)
+    frame = run.to_frame()
+    assert list(frame.columns[:5]) == ["run", "task", "seed", "step", "episodes"]
+    assert {*frame["run"]} == {record.name}
+    assert {*frame["task"]} == {run.config.env_id}
+    assert len(frame) == len(run.rows)
+    for (_, line), row in zip(frame.iterrows(), run.rows, strict=True):
+        numbers = {**row._asdict(), **row.metrics}
+        del numbers["returns"], numbers["metrics"]
+        found = line.drop(["run", "task"]).to_dict()
+        assert found == pytest.approx(numbers, nan_ok=True)
+    assert replace(run, rows=[]).to_frame().empty
+
+
+def test_polars_takes_the_frame(record):
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install -e '.[frames]'")
+    polars = pytest.importorskip("polars", reason="Polars is not installed: pip install polars")
+    run = read(record)
+    frame = polars.DataFrame(run.to_frame().to_dict("list"))
+    assert frame["mean_return"].to_list() == [row.mean_return for row in run.rows]
+    assert {*frame["run"]} == {record.name}
+
+
+def test_a_missing_pandas_is_told_with_the_remedy(record, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r"pip install -e '\.\[frames\]'"):
+        read(record).to_frame()

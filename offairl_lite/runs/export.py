@@ -1,0 +1,143 @@
+"""A run's policies and rewards for other programs: as ONNX, and as programs of PyTorch."""
+
+import logging
+import warnings
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+from gymnasium.spaces import Box
+from jaxtyping import Float
+from torch import Tensor
+
+from offairl_lite import envs
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.results import Run
+from offairl_lite.core.rewards import Reward
+from offairl_lite.core.rollouts import require_actions, seen
+from offairl_lite.runs import inputs, records
+
+ABOUT = """\
+From the run {folder}, trained on {env_id}.
+
+{members}
+
+Arrays are float32, with any number of rows. Observations are as the task gives them. Actions are in
+its own units, from {low} to {high}.
+"""
+HOW = """
+The {kind}, with ONNX Runtime:
+
+    import numpy as np, onnxruntime
+    session = onnxruntime.InferenceSession("{file}.onnx")
+    ({gives},) = session.run(None, {{{arrays}}})
+
+The {kind}, with PyTorch:
+
+    import torch
+    program = torch.export.load("{file}.pt2").module()
+    {gives} = program({tensors})
+"""
+
+
+class InUnits(torch.nn.Module):
+    """A policy or a reward of one member, with the actions of `space`: a task's own."""
+
+    def __init__(self, thing: Policy | Reward, space: Box) -> None:
+        super().__init__()
+        self.thing = thing
+        self.low, self.high = (torch.tensor(x).float() for x in (space.low, space.high))
+
+    def forward(
+        self, obs: Float[Tensor, "B O"], action: Float[Tensor, "B A"] | None = None
+    ) -> Float[Tensor, "B *A"]:
+        """Return a policy's modes, as `core.rollouts.action` does, or the reward of each row."""
+        if isinstance(self.thing, Policy):
+            unit = self.thing.act(seen(self.thing, obs)[None])[0]
+            return (self.low + (unit + 1) / 2 * (self.high - self.low)).clamp(self.low, self.high)
+        if action is not None:
+            action = ((action - self.low) / (self.high - self.low) * 2 - 1)[None]
+        return self.thing(obs[None], action)[0]
+
+
+def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
+    """Write the policy and the reward of each member of a run, or of one, to files of their own.
+
+    They are `policy-0.onnx`, `policy-0.pt2`, `reward-0.onnx` and so on, after the member's number;
+    README.txt tells how to load them. Files that have these names are overwritten. Returned is what
+    was left out, and why.
+
+    FileNotFoundError says that the run has not ended; ValueError that there is no such member, or
+    that it has diverged.
+    """
+    run = records.read(folder)
+    records.beginning(out)  # It says that a file is in the way.
+    members, notes = _members(run, folder, member)
+    if run.policy is run.reward is None:
+        inputs.load_one(folder, Policy)  # It says what to do.
+    envs.spec(env_id := run.config.env_id)
+    with closing(gymnasium.make(env_id)) as env:
+        box, space = envs.require_boxes(env_id, env.observation_space, env.action_space)
+    if find_spec("onnxscript") is None:
+        cure = "pip install -e '.[export]', in a clone, and give the command again"
+        notes.append(f"ONNX is not installed, so there are programs of PyTorch alone: {cure}")
+    ends = {row.seed: f"return {row.mean_return:.4g} at step {row.step:,}" for row in run.rows}
+    lines = "\n".join(f"Member {i}: seed {run.seeds[i]}, {ends[run.seeds[i]]}" for i in members)
+    low, high = space.low.tolist(), space.high.tolist()
+    text = ABOUT.format(folder=folder, env_id=env_id, members=lines, low=low, high=high)
+    out.mkdir(parents=True, exist_ok=True)
+    for kind, gives, thing in (("policy", "action", run.policy), ("reward", "reward", run.reward)):
+        if thing is None:
+            own = kind == "reward" and run.config.reward == "environment"
+            why = "it was trained on the task's own" if own else "its file is not there"
+            notes.append(f"{folder} has no {kind} to export: {why}")
+            continue
+        if isinstance(thing, Policy):
+            require_actions(thing, space)
+        sizes = {"obs": box.shape[0], "action": space.shape[0]}
+        if isinstance(thing, Policy) or thing.state_only:
+            del sizes["action"]
+        for i in members:
+            _write(thing.member(i), space, sizes, gives, out / f"{kind}-{i}")
+        arrays = ", ".join(f'"{name}": np.zeros((1, {n}), np.float32)' for name, n in sizes.items())
+        tensors = ", ".join(f"torch.zeros(1, {n})" for n in sizes.values())
+        file = f"{kind}-{members[0]}"
+        text += HOW.format(kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors)
+    (out / "README.txt").write_text(text, "utf-8")
+    return notes
+
+
+def _members(run: Run, folder: Path, member: int | None) -> tuple[list[int], list[str]]:
+    """Return the members that can be exported, of all or of one, and why others cannot."""
+    count = len(run.seeds)
+    if member is not None and not 0 <= member < count:
+        raise ValueError(f"member is {member}; {folder} has members 0 to {count - 1}")
+    asked = range(count) if member is None else [member]
+    lost = {i: run.diverged[run.seeds[i]] for i in asked if run.seeds[i] in run.diverged}
+    notes = [f"member {i} of {folder} cannot be exported: {why}" for i, why in lost.items()]
+    if len(lost) == len(asked):
+        raise ValueError("; ".join(notes))
+    return [i for i in asked if i not in lost], notes
+
+
+def _write(
+    thing: Policy | Reward, space: Box, sizes: dict[str, int], gives: str, path: Path
+) -> None:
+    """Write one member as a program of PyTorch and, where it is installed, as ONNX."""
+    given = tuple(torch.zeros(2, n) for n in sizes.values())
+    rows = {name: {0: torch.export.Dim("rows")} for name in sizes}
+    logging.disable(logging.WARNING)  # The exporters speak of packages that nobody needs here.
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            module = InUnits(thing, space)
+            program = torch.export.export(module, given, dynamic_shapes=rows)
+            torch.export.save(program, path.with_suffix(".pt2"))
+            if find_spec("onnxscript") is not None:
+                file, names = path.with_suffix(".onnx"), [*sizes]
+                own: Any = {"input_names": names, "output_names": [gives], "verbose": False}
+                torch.onnx.export(program, f=file, external_data=False, **own)
+    finally:
+        logging.disable(logging.NOTSET)

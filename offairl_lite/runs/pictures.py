@@ -1,0 +1,89 @@
+"""The picture of a run, `curve.png` in its folder: what to look at while it trains."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+from PIL import Image
+
+from offairl_lite.analysis import plots
+from offairl_lite.core.results import Row
+from offairl_lite.runs import records
+
+COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.RED, plots.PURPLE)
+"""Of the first five seeds; those of the next five are dashed."""
+
+
+def _gap(row: Row, before: Row) -> float:
+    return row.metrics.get("expert_logit", math.nan) - row.metrics.get("policy_logit", math.nan)
+
+
+def _length(row: Row, before: Row) -> float:
+    episodes = row.episodes - before.episodes
+    return (row.step - before.step) / episodes if episodes else math.nan
+
+
+RETURN = "return, by the task's own reward"
+PANELS: dict[str, Callable[[Row, Row], float]] = {
+    RETURN: lambda row, before: row.mean_return,
+    "logit gap, expert minus policy:\na few nats, it should shrink": _gap,
+    "entropy of the verdict:\nit should rise": lambda row, before: row.metrics.get(
+        "entropy", math.nan
+    ),
+    "steps of an episode in training:\nas many as demonstrated": _length,
+}
+"""What is drawn, by its title: a number of an evaluation, which may need the one before."""
+
+
+def draw(folder: Path) -> None:
+    """Draw the evaluations of a run so far in its `curve.png`, which is always whole.
+
+    A panel that would show nothing but 0 is left out, as is the return of a task without a reward,
+    and so is one of numbers that the run does not have.
+    """
+    run = records.read(folder)
+    start = Row(0, 0, 0, math.nan, (), math.nan, {})
+    members = [[start, *(row for row in run.rows if row.seed == seed)] for seed in run.seeds]
+    shown = {
+        title: [[read(row, before) for before, row in pairwise(rows)] for rows in members]
+        for title, read in PANELS.items()
+    }
+    shown = {k: y for k, y in shown.items() if np.nan_to_num(np.concatenate(y)).any()}
+    if not shown:
+        return
+    below = [title for title in shown if title != RETURN]
+    mosaic: Any = [[RETURN] * (len(below) or 1)] * (RETURN in shown) + [below] * bool(below)
+    with plots.style():
+        # Where panels and margins are is said here: to find it out would double the time it takes.
+        height = 2.5 * len(mosaic) + 0.8
+        figure = Figure(figsize=(9, height), dpi=80)
+        figure.set_layout_engine("none")
+        canvas = FigureCanvasAgg(figure)
+        edges = {"left": 0.07, "right": 0.98, "bottom": 0.75 / height, "top": 1 - 0.75 / height}
+        places = figure.subplot_mosaic(mosaic, gridspec_kw={**edges, "hspace": 0.5, "wspace": 0.25})
+        for title, axes in places.items():
+            for i, ((_, *rows), y) in enumerate(zip(members, shown[title], strict=True)):
+                x, line = [row.step for row in rows], "--" if i % 10 > 4 else "-"
+                axes.plot(
+                    x, y, line, color=COLOURS[i % 5], marker=".", label=f"seed {run.seeds[i]}"
+                )
+            axes.set_title(title, loc="left")
+            axes.set_xlim(0, run.config.total_steps)
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if len(run.seeds) <= 10:
+            seeds = axes.get_legend_handles_labels()
+            figure.legend(*seeds, loc="lower center", ncols=10, columnspacing=1, handlelength=1.5)
+        lost = f"; diverged: {', '.join(map(str, run.diverged))}" if run.diverged else ""
+        step, total = (f"{n:,}" for n in (run.steps[-1], run.config.total_steps))
+        name = f"{folder.absolute().name} on {run.config.env_id}"
+        figure.suptitle(f"{name}: step {step} of {total}{lost}")
+        canvas.draw()
+    # Few colours will do, and make the file a third as large.
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(64)
+    records.write_whole(folder / records.PICTURE, lambda part: picture.save(part, "png"))
