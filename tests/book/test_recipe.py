@@ -211,9 +211,9 @@ def test_a_task_with_other_arguments_is_registered(write_dataset):
 
 
 def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
-    """With SB3_TRAINS=1 the page's lines as they are: one to two minutes, and the new way is found.
+    """With SB3_TRAINS=1 these are the page's lines, 40 seconds of one core: the new way is found.
 
-    Otherwise they are run with fewer steps.
+    Otherwise they take fewer steps.
     """
     monkeypatch.chdir(ROOT)
     code, whole = block("VecNormalize"), "SB3_TRAINS" in os.environ
