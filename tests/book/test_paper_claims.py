@@ -1,4 +1,4 @@
-"""The rules by which the last chapter judges the paper's claims."""
+"""The rules by which the book judges the paper's claims."""
 
 from types import SimpleNamespace
 
