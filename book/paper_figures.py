@@ -3,8 +3,9 @@
 Beside the exact log π of the paper's logit stands the density of the
 replay, without its tail (`DiscriminatorConfig.loss`), and the same with the
 temperature of the logit, 1. The paper's random starts are by an expert;
-those by the imitator stand beside them. DAC on Hopper is an experiment of
-its own, with the α of the paper.
+those by the imitator stand beside them. The paper draws SAC beside the gate
+as well; SAC has no gate, and stands beside gate and primitives alone. DAC
+on Hopper is an experiment of its own, with the α of the paper.
 """
 
 from collections.abc import Mapping
@@ -88,14 +89,14 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         },
         "PointMazeLeft": {"off-policy AIRL": "maze-imitation"},
         "DisabledAnt": {
-            "policy kept": "ant-transfer/policy",
+            "old policy": "ant-transfer/policy",
             "from scratch": "ant-transfer/scratch",
-            "policy kept, released order": (
+            "old policy, released order": (
                 "ant-transfer/policy-released-order"
             ),
         },
         "PointMazeRight": {
-            "policy kept": "maze-retraining/policy",
+            "old policy": "maze-retraining/policy",
             "from scratch": "maze-retraining/scratch",
         },
     },
@@ -113,23 +114,29 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
             for k in (4, 8)
         }
         for title, part in (
-            ("gating only", "gate"),
-            ("policy and gating", "both"),
+            ("gate alone", "gate"),
+            ("gate and primitives", "both"),
         )
     },
     "random starts": {
-        f"{title}; guide: {guide}": {
-            "SAC": f"maze-retraining/policy-{start}-starts",
-            "SAC-MCP, k = 4": f"maze-retraining/4-{part}-{start}-starts",
-            "SAC-MCP, k = 8": f"maze-retraining/8-{part}-{start}-starts",
+        f"{title}; guide: {guide}": sac
+        | {
+            f"SAC-MCP, k = {k}": (
+                f"maze-retraining/{k}-{part}-{start}-starts"
+            )
+            for k in (4, 8)
         }
         for start, guide in (
             ("expert", "an expert"),
             ("own", "the imitator"),
         )
-        for title, part in (
-            ("gating only", "gate"),
-            ("policy and gating", "both"),
+        for title, part, sac in (
+            ("gate alone", "gate", {}),
+            (
+                "gate and primitives",
+                "both",
+                {"SAC": f"maze-retraining/policy-{start}-starts"},
+            ),
         )
     },
     "expert selection": {

@@ -198,6 +198,7 @@ def large_enough(found: list[Run], size: Scale) -> bool:
 class Found(NamedTuple):
     """What the records say of a comparison.
 
+    `scale` is the size of the networks, and seeds × thousands of steps.
     `effect` is a difference of interquartile means with its interval, or
     the success rates, each with its own; `chance` the probability of
     improvement with its interval, or a p-value.
@@ -240,10 +241,11 @@ def compare(
         )
     seeds = min(map(len, ends))
     away = sum(map(runaways, found))
-    length = " and ".join(f"{step:,}" for step in dict.fromkeys(steps))
+    length = " and ".join(f"{s / 1000:g}k" for s in dict.fromkeys(steps))
     return Found(
         comparison.what,
-        f"{networks(runs[0], size)}, {seeds} seeds, {length} steps",
+        f"{networks(runs[0], size).removesuffix(' networks')}, "
+        f"{seeds} × {length}",
         seeds,
         effect,
         chance,

@@ -1,4 +1,4 @@
-"""Verdicts in words: the cells of the last chapter's tables."""
+"""Verdicts in words: the cells of the tables that tell them."""
 
 import numpy as np
 
@@ -8,7 +8,6 @@ from paper_figures import record
 from paper_verdicts import (
     IN_PART,
     RECORDS,
-    RUNAWAY,
     SEEDS,
     STEPS,
     UNDECIDED,
@@ -20,14 +19,12 @@ from paper_verdicts import (
 
 
 def number(x: float, digits: int = 0) -> str:
-    """Write a number, with a proper minus."""
-    return f"{x:,.{digits}f}".replace("-", "−")
+    """Write a number, with a proper minus, and 0 without one."""
+    return f"{round(x, digits) + 0.0:,.{digits}f}".replace("-", "−")
 
 
-def interval(numbers: tuple | None, digits: int) -> str:
-    """Write a number with its interval; a dash for none."""
-    if numbers is None:
-        return "–"
+def interval(numbers: tuple, digits: int) -> str:
+    """Write a number with its interval."""
     middle, *ends = (number(x, digits) for x in numbers)
     if np.isinf(numbers[1]):
         return f"{middle} [?]"
@@ -47,44 +44,22 @@ def of_successes(found: Found) -> bool:
 
 
 def cells(found: Found) -> tuple[str, str]:
-    """Write the effect of a comparison, and how sure it is."""
+    """Write the effect of a comparison, and how sure it is.
+
+    That is the probability of improvement, or a p-value.
+    """
+    p = found.chance
     if of_successes(found):
-        rates = [rate(each, found.seeds) for each in found.effect]
-        p = found.chance
-        return " against ".join(rates), "–" if p is None else f"p = {p:.2g}"
-    digits = 0 if abs(found.effect[0]) > 100 else 1
-    return (
-        interval(found.effect, digits),
-        f"P = {interval(found.chance, 2)}",
+        first, *other = (rate(each, found.seeds) for each in found.effect)
+        if other:
+            shares = (share for share, *_ in found.effect)
+            one, two = (f"{share * found.seeds:.0f}" for share in shares)
+            first = f"{one} against {two}"
+        return first, "–" if p is None else f"{p:.2g}"
+    digits = 0 if max(map(abs, found.effect)) > 100 else 1
+    return interval(found.effect, digits), "–" if p is None else number(
+        p[0], 2
     )
-
-
-def evidence(found: list[Found]) -> str:
-    """Say in a line what a verdict rests on."""
-    if not of_successes(found[0]):
-        words = [each.seen for each in found]
-        counts = [
-            f"{words.count(word)} {word}" for word in dict.fromkeys(words)
-        ]
-        return "seen so far: " + ", ".join(counts)
-    seeds = found[0].seeds
-    if len({each.effect for each in found}) == 1 == len(found[0].effect):
-        text = f"{rate(found[0].effect[0], seeds)} seeds arrive"
-        away = [str(each.runaways) for each in found]
-        if any(each.runaways for each in found):
-            text += f"; temperature above {RUNAWAY:,} in "
-            text += " and ".join(away) + " seeds"
-        return text
-    mark = " against " if len(found) == 1 else " : "
-    pairs = [
-        mark.join(f"{share * seeds:.0f}" for share, *_ in each.effect)
-        for each in found
-    ]
-    text = ", ".join(pairs) + f" of {seeds} seeds"
-    if len(found) == 1:
-        return f"{text}, {cells(found[0])[1]}"
-    claimed = sum(each.seen == "as claimed" for each in found)
-    return f"{text}; as claimed in {claimed} of {len(found)} cases"
 
 
 def missing(n: int) -> list[str]:
@@ -121,8 +96,7 @@ def needed(n: int, word: str) -> str:
     """Say what would decide a claim that is not decided."""
     wanted = []
     if runs := missing(n):
-        days = f"{hours() * len(runs) / 24:.0f} days"
-        wanted.append(f"{len(runs)} runs, about {days}")
+        wanted.append(f"{len(runs)} runs, {hours() * len(runs):.0f} hours")
     if runs := out_of_bounds(n):
         took = sum(
             records.read_json(RECORDS / record(run, "full") / "run.json")[
@@ -131,7 +105,7 @@ def needed(n: int, word: str) -> str:
             for run in runs
         )
         wanted.append(
-            f"{len(runs)} runs with a bounded temperature, about "
+            f"{len(runs)} runs with a bounded temperature, "
             f"{took / 3600:.0f} hours"
         )
     if word in (UNDECIDED, IN_PART):

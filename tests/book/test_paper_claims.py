@@ -1,4 +1,4 @@
-"""The rules by which the last chapter judges the paper's claims."""
+"""The rules by which the book judges the paper's claims."""
 
 from types import SimpleNamespace
 
@@ -25,6 +25,11 @@ from paper_verdicts import (
     support,
     verdict,
 )
+from paper_words import number
+
+
+def test_a_number_has_a_proper_minus_and_zero_none():
+    assert [number(-12345.6), number(-0.04, 1), number(1 / 3, 2)] == ["−12,346", "0.0", "0.33"]
 
 
 def curves(to_go, steps=40, temperature=1.0):
