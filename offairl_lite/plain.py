@@ -52,9 +52,9 @@ def gradient_penalty(f: Callable[..., Vector], *x: Obs) -> Scalar:
 
 
 def descend(loss: Scalar, optimizer: torch.optim.Optimizer):
-    """Step down the gradient of `loss` by this optimizer's parameters."""
+    """Take one step; change only this optimizer's parameters."""
     optimizer.zero_grad()
-    # By no others: the actor's loss must leave no gradient in the critics.
+    # No gradient for others: a policy's loss passes through other networks.
     loss.backward(inputs=optimizer.param_groups[0]["params"])
     optimizer.step()
 
