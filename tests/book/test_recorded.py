@@ -165,7 +165,7 @@ def test_what_primitives_offer_is_recorded_of_those_that_were_carried_over():
 
 def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, monkeypatch):
     """With other policies: those that were carried over are not kept here."""
-    cell = next(c for c in cells(ROOT / "book", "09_transfer") if c.id == "c9gate1")
+    cell = next(c for c in cells(ROOT / "book/notes", "old_policies") if c.id == "c9gate1")
     (recipe,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
     actor = make_actor(configure("maze-mcp/8-softmax", "demo").learner, 3, 2)
     policy = Policy("", actor, actor.init(Rng((0, 1))), Normaliser.identity(2, 3))
