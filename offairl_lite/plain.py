@@ -303,7 +303,7 @@ def train(
     """Run Algorithm 1; yield steps, a return and the learners so far."""
     env.reset(seed=int(torch.randint(2**31, (), generator=rng)))
     dims = demos.obs.shape[1], demos.pre_tanh.shape[1]
-    noise = partial(torch.randn, generator=rng)
+    randn = partial(torch.randn, generator=rng)
     u = sticky_actions(dims[1], rng)
     episodes = [run_episode(env, lambda _: next(u)) for _ in range(warmup)]
     scale = normaliser(join(episodes).obs, demos.obs)
@@ -311,12 +311,12 @@ def train(
     zero = torch.zeros(dims[1])
 
     def act(obs: Obs, noise: Action = zero) -> Action:
-        # Without noise this is the policy's mode.
+        # Without noise u is the mean μ(s).
         return sac.actor.sample(scale(obs), noise)[0]
 
     for k in range(num_episodes):
         if k == len(episodes):  # The warm-up has been learned from: act.
-            episode = run_episode(env, lambda obs: act(obs, noise(dims[1])))
+            episode = run_episode(env, lambda obs: act(obs, randn(dims[1])))
             episodes.append(episode)
         replay, steps = join(episodes), len(episodes[k].reward)
         for _ in range(steps):  # Train the discriminator.
@@ -329,6 +329,6 @@ def train(
         for _ in range(steps):  # Train the policy on the reward r(s).
             batch = draw(replay, scale, rng)
             reward = airl.r(batch.obs).detach()
-            sac.update(batch, reward, noise(2, BATCH_SIZE, dims[1]))
+            sac.update(batch, reward, randn(2, BATCH_SIZE, dims[1]))
         if k + 1 == len(episodes):
             yield len(replay.reward), evaluate(env, act), sac, airl, scale
