@@ -136,7 +136,7 @@ def test_what_cannot_be_given_is_found(wrong):
 def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
     inline = re.findall(r"`(--[^`]+)`", PAGE)
     assert len(inline) > 10
-    first = commands()[0]
+    (first,) = [command for command in commands() if command.endswith("--out runs/arm")]
     for options in inline:
         added = parsed(f"offairl run {options}")[2]
         known = SETTINGS | GIVEN | {"scale"}
@@ -231,10 +231,19 @@ def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
 
 
 def test_the_diagnostics_can_be_read(capsys):
-    (block,) = [block for block in blocks("python") if "rollout" in block]
+    (block,) = [block for block in blocks("python") if "lengths" in block]
     run = RECORDS / "hopper-absorbing-demo/dac-bootstrap"
+    block = block.replace("my_robot:Arm-v0", records.read(run).config.env_id)
     exec(block.replace("runs/arm", str(run)), {})
     assert capsys.readouterr().out.count("\n") >= len(records.read(run).seeds) + 1
+
+
+def test_the_policy_acts(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    (block,) = [block for block in blocks("python") if "action(policy" in block]
+    block = block.replace("my_robot:Arm-v0", "offairl/PointMazeLeft-v0")
+    exec(block.replace("runs/arm", "book/records/maze-imitation-demo"), known := {})
+    assert known["env"].observation_space.contains(known["obs"])
 
 
 def test_weights_and_biases_gets_every_number(monkeypatch):
@@ -351,6 +360,31 @@ def test_both_robots_are_learned_and_dac_is_behind_on_one():
     dac = records.read(RECORDS / "what-decides-demo/Walker2d-dac-fixed-short")
     assert ((dac.returns[:, -1] > 1_000) & (dac.returns[:, -1] < 1_200)).sum() == 4
     assert (records.read(RECORDS / RECIPE["Walker2d"]).returns[:, -1] > 2_000).all()
+
+
+def test_the_percentages_are_those_of_the_records():
+    def percent(name, robot):
+        if not (RECORDS / name).exists():
+            return "not run"
+        noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")["demonstrated"][0]
+        end = 100 * records.read(RECORDS / name).returns[:, -1] / noted
+        assert len(end) == 5
+        return f"{end.min():.0f}–{end.max():.0f}"
+
+    for robot in ("Hopper", "Walker2d", "HalfCheetah"):
+        names = [
+            name
+            for loss, run in (("released", "airl"), ("dac", "dac"))
+            for name in (
+                f"what-decides-demo/{robot}-{loss}-fixed-short",
+                f"recipe-demo/{robot}-{run}",
+            )
+        ]
+        assert f"| {robot} | {' | '.join(percent(name, robot) for name in names)} |" in PAGE
+    hopper = records.read(RECORDS / "recipe-demo/Hopper-airl").returns
+    noted = records.read_json(demonstrations.EXPERTS / "Hopper.json")["demonstrated"][0]
+    second_half = hopper[:, hopper.shape[1] // 2 :]
+    assert round(100 * (second_half < 0.75 * noted).mean()) == 18
 
 
 def test_a_third_robot_is_learned_and_dac_is_level_with_it():
