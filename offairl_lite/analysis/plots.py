@@ -22,7 +22,7 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, Side, walls
 from offairl_lite.tabular import MOVES
 
-BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
+BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC3311", "#AA3399"
 GREY = "#7f7f7f"
 
 STYLE: Any = {

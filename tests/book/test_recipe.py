@@ -351,14 +351,12 @@ def test_the_gap_falls_as_the_return_rises():
         assert round(found, 1) == said
 
 
-def test_both_robots_are_learned_and_dac_is_behind_on_one():
+def test_both_robots_are_learned():
     for robot, name in RECIPE.items():
         noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
         end = records.read(RECORDS / name).returns[:, -1]
         assert len(end) == 5
         assert (end > 0.45 * noted["demonstrated"][0]).all()
-    dac = records.read(RECORDS / "what-decides-demo/Walker2d-dac-fixed-short")
-    assert ((dac.returns[:, -1] > 1_000) & (dac.returns[:, -1] < 1_200)).sum() == 4
     assert (records.read(RECORDS / RECIPE["Walker2d"]).returns[:, -1] > 2_000).all()
 
 
