@@ -36,6 +36,12 @@ class Claim(NamedTuple):
 RETURNS = ("better", "comparable", "fails")
 SUCCESSES = ("arrives", "varies", "mostly fails", "more arrive")
 
+DAC = (
+    ("Hopper", "better", "above"),
+    ("Walker2d", "better", "above"),
+    ("HalfCheetah", "comparable", "like"),
+    ("Ant", "comparable", "like"),
+)
 ANT, MAZE = "ant-rewards/implementation-", "maze-retraining/"
 CLAIMS = {
     1: Claim(
@@ -66,12 +72,7 @@ CLAIMS = {
                 f"locomotion/{task}-airl",
                 f"locomotion/{task}-dac",
             )
-            for task, question, word in (
-                ("Hopper", "better", "above"),
-                ("Walker2d", "better", "above"),
-                ("HalfCheetah", "comparable", "like"),
-                ("Ant", "comparable", "like"),
-            )
+            for task, question, word in DAC
         ),
         (
             Comparison(
@@ -80,14 +81,20 @@ CLAIMS = {
                 "maze-imitation",
                 "maze-dac/sac",
             ),
+            Comparison(
+                "CustomAnt: AIRL like DAC",
+                "comparable",
+                "locomotion/CustomAnt-airl",
+                "locomotion/CustomAnt-dac",
+            ),
             *(
                 Comparison(
-                    f"{task}: AIRL by the recipe above DAC",
-                    "better",
-                    f"recipe/{task}-airl",
-                    f"recipe/{task}-dac",
+                    f"{task}, first settings: AIRL {word} DAC",
+                    question,
+                    f"locomotion-first/{task}-airl",
+                    f"locomotion-first/{task}-dac",
                 )
-                for task in ("Hopper", "Walker2d", "HalfCheetah")
+                for task, question, word in DAC
             ),
         ),
     ),
@@ -142,14 +149,26 @@ CLAIMS = {
             for task in ("HalfCheetah", "Ant")
             for k in (4, 8)
         ),
-        tuple(
-            Comparison(
-                f"PointMazeLeft: k = {k} above SAC",
-                "better",
-                f"maze-mcp/{k}-softmax",
-                "maze-mcp/plain",
-            )
-            for k in (4, 8)
+        (
+            *(
+                Comparison(
+                    f"PointMazeLeft: k = {k} above SAC",
+                    "better",
+                    f"maze-mcp/{k}-softmax",
+                    "maze-mcp/plain",
+                )
+                for k in (4, 8)
+            ),
+            *(
+                Comparison(
+                    f"{task}, first settings: k = {k} above SAC",
+                    "better",
+                    f"locomotion-first/{task}-mcp-{k}",
+                    f"locomotion-first/{task}-airl",
+                )
+                for task in ("HalfCheetah", "Ant")
+                for k in (4, 8)
+            ),
         ),
     ),
     6: Claim(

@@ -194,6 +194,8 @@ def large_enough(found: list[Run], size: Scale) -> bool:
 
 # ---- Answers ----
 
+NOT_RUN = "not run"
+
 
 class Found(NamedTuple):
     """What the records say of a comparison.
@@ -220,7 +222,13 @@ def compare(
     """Return what the largest records say of a comparison."""
     asked = (comparison.one, comparison.other)
     runs = [run for run in asked if isinstance(run, str)]
-    size = largest(*runs, sizes=sizes)
+    try:
+        size = largest(*runs, sizes=sizes)
+    except FileNotFoundError:
+        nothing = (np.nan,) * 3
+        return Found(
+            comparison.what, NOT_RUN, 0, nothing, None, "", UNTESTED, 0
+        )
     found = [recorded(run, size) for run in runs]
     enough = large_enough(found, size)
     common = set.intersection(*(set(each.steps) for each in found))

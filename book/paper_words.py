@@ -24,7 +24,9 @@ def number(x: float, digits: int = 0) -> str:
 
 
 def interval(numbers: tuple, digits: int) -> str:
-    """Write a number with its interval."""
+    """Write a number with its interval, or a dash if there is none."""
+    if np.isnan(numbers[0]):
+        return "–"
     middle, *ends = (number(x, digits) for x in numbers)
     if np.isinf(numbers[1]):
         return f"{middle} [?]"
@@ -87,7 +89,7 @@ def hours() -> float:
         records.read_json(path)["wall_s"]
         / len(records.read(path.parent).rows)
         / records.read(path.parent).config.schedule.eval_every
-        for path in RECORDS.glob("locomotion-full/Hopper-*/run.json")
+        for path in RECORDS.glob("locomotion-first-full/Hopper-*/run.json")
     ]
     return float(np.mean(paces)) * SEEDS * STEPS / 3600
 

@@ -35,7 +35,7 @@ def test_demo_scale_is_small(name):
     # On-policy learning takes ten times the steps, and each of them less. The ants learn nothing in
     # fewer than 50,000, and have three seeds. What decides between methods is seen later still.
     ants = name.startswith("ant-")
-    most = {"what-decides": 100_000, "recipe": 500_000}
+    most = {"what-decides": 100_000, "locomotion": 500_000}
     most = most.get(name, 60_000 if ants or config.learner.kind == "ppo" else 20_000)
     assert config.total_steps <= most
     assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if ants else 5)
@@ -94,31 +94,56 @@ def test_the_velocity_of_the_ant_s_torso_is_where_the_reward_looks_for_it():
         assert seen == tuple(model.nq - 2 + axis for axis in range(3))
 
 
-def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them():
-    experiment = find("locomotion")
-    between = {
-        "airl": {},
-        "airl-mixture": {"loss": "mixture"},
-        "airl-soft": {"loss": "mixture", "temperature": 1.0},
-        "mcp-4": {"primitives": 4},
-        "mcp-8": {"primitives": 8},
-        "dac": {"reward": "dac"},
-        "dac-td3": {"reward": "dac", "learner": "td3"},
-    }
-    for scale, config in experiment.configs.items():
+DAC_ALONE = {"dac": {"reward": "dac"}, "dac-td3": {"reward": "dac", "learner": "td3"}}
+
+
+@pytest.mark.parametrize(
+    ("name", "warmup", "temperature", "between"),
+    [
+        (
+            "locomotion",
+            1_000,
+            0.2,
+            {
+                "airl": {"loss": "released"},
+                "mcp-4": {"loss": "released", "primitives": 4},
+                "mcp-8": {"loss": "released", "primitives": 8},
+                **DAC_ALONE,
+            },
+        ),
+        (
+            "locomotion-first",
+            10_000,
+            None,
+            {
+                "airl": {},
+                "airl-mixture": {"loss": "mixture"},
+                "airl-soft": {"loss": "mixture", "temperature": 1.0},
+                "mcp-4": {"primitives": 4},
+                "mcp-8": {"primitives": 8},
+                **DAC_ALONE,
+            },
+        ),
+    ],
+)
+def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them(
+    name, warmup, temperature, between
+):
+    experiment = find(name)
+    for config in experiment.configs.values():
         tasks = set()
-        for name, changes in experiment.variants.items():
-            run = config.change(**changes)
-            task, _, method = name.partition("-")
-            airl = config.change(**experiment.variants[f"{task}-airl"])
-            assert run == airl.change(**between[method])
-            assert (run.reward == "dac") == method.startswith("dac")
+        for variant, changes in experiment.variants.items():
+            task, _, method = variant.partition("-")
+            run, same = config.change(**changes), config.change(env_id=changes["env_id"])
             falls = task in ("Hopper", "Walker2d", "Ant")
-            assert (run.schedule.absorbing == "bootstrap") == falls
+            absorbing = {"absorbing": "bootstrap"} if falls else {}
+            assert run == same.change(**absorbing, **between[method])
             tasks.add(run.env_id)
         assert len(tasks) == 5
         assert len(experiment.variants) == len(tasks) * len(between)
-        assert (config.learner.temperature, config.schedule.update_every) == (None, 1_000), scale
+        assert config.discriminator.loss == "exact"
+        assert config.learner.temperature == temperature
+        assert (config.schedule.warmup_steps, config.schedule.update_every) == (warmup, 1_000)
 
 
 def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
@@ -141,10 +166,11 @@ def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
 def test_the_recipe_is_what_decided():
     for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt"):
         short = configure(f"what-decides/{robot}-released-fixed-short", "demo")
-        long = configure(f"recipe/{robot}-airl", "demo")
+        long = configure(f"locomotion/{robot}-airl", "demo")
         schedule = {"total_steps", "eval_every", "eval_episodes"}
-        assert set(differences(short, long)) == schedule
-        dac = configure(f"recipe/{robot}-dac", "demo")
+        unused = {"trunk_hidden", "primitive_hidden", "gate_hidden"}
+        assert set(differences(short, long)) == schedule | unused
+        dac = configure(f"locomotion/{robot}-dac", "demo")
         assert set(differences(long, dac)) == {"loss", "reward"}
 
 
@@ -171,7 +197,7 @@ def test_the_ants_that_are_carried_over_are_of_the_form_that_is_learned():
     form = ("hidden", "trunk_hidden", "primitive_hidden", "gate_hidden", "gating", "primitives")
     for scale, ant in itertools.product(("demo", "full"), ("policy", "4-gate", "8-both")):
         k = ant.split("-")[0]
-        source = "locomotion/CustomAnt-" + ("airl" if k == "policy" else f"mcp-{k}")
+        source = "locomotion-first/CustomAnt-" + ("airl" if k == "policy" else f"mcp-{k}")
         learned, retrained = configure(source, scale), configure(f"ant-transfer/{ant}", scale)
         assert not set(differences(learned, retrained)) & set(form)
 

@@ -319,7 +319,7 @@ RECIPE = {
     robot: f"what-decides-demo/{robot}-released-fixed-short" for robot in ("Hopper", "Walker2d")
 }
 OTHER = {robot: name.replace("released", "dac") for robot, name in RECIPE.items()}
-FAILED = "locomotion-demo/HalfCheetah-airl"
+FAILED = "locomotion-first-demo/HalfCheetah-airl"
 
 
 def test_the_ranges_are_those_of_the_records():
@@ -375,11 +375,11 @@ def test_the_percentages_are_those_of_the_records():
             for loss, run in (("released", "airl"), ("dac", "dac"))
             for name in (
                 f"what-decides-demo/{robot}-{loss}-fixed-short",
-                f"recipe-demo/{robot}-{run}",
+                f"locomotion-demo/{robot}-{run}",
             )
         ]
         assert f"| {robot} | {' | '.join(percent(name, robot) for name in names)} |" in PAGE
-    hopper = records.read(RECORDS / "recipe-demo/Hopper-airl").returns
+    hopper = records.read(RECORDS / "locomotion-demo/Hopper-airl").returns
     noted = records.read_json(demonstrations.EXPERTS / "Hopper.json")["demonstrated"][0]
     second_half = hopper[:, hopper.shape[1] // 2 :]
     assert round(100 * (second_half < 0.75 * noted).mean()) == 18
@@ -404,7 +404,9 @@ def test_the_hours_are_those_of_the_records():
     recipe = [wall(name) / 3600 for name in RECIPE.values()]
     assert {f"{hours:.2f}" for hours in recipe} == {"0.24"}
     assert f"{5 * max(recipe):.1f}" == "1.2"
-    large = [wall(f"locomotion-full/Hopper-{kind}") / 3600 for kind in ("airl", "airl-soft", "dac")]
+    large = [
+        wall(f"locomotion-first-full/Hopper-{kind}") / 3600 for kind in ("airl", "airl-soft", "dac")
+    ]
     assert f"{min(large):.1f}–{max(large):.1f}" == "1.0–1.3"
     times = 10 * 1_000_000 / (3 * 200_000)
     assert f"{min(large) * times:.0f}–{max(large) * times:.0f}" == "17–22"

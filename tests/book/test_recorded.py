@@ -40,13 +40,13 @@ VARIED = {
     "marsh-airl-memory-demo/all": {"env_id"},
     "marsh-airl-ppo-demo/state": {"env_id"},
     "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
-    "locomotion-released-loss-demo/HalfCheetah-airl": {"loss"},
-    "locomotion-wide-demo/HalfCheetah-airl": {"log_std_range"},
+    "locomotion-first-released-loss-demo/HalfCheetah-airl": {"loss"},
+    "locomotion-first-wide-demo/HalfCheetah-airl": {"log_std_range"},
     "hopper-none-demo/Hopper-released-fixed-short": {"absorbing", "eval_every"},
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
     "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
-    "locomotion-centred-demo/HalfCheetah-airl": {"centre_reward"},
-    "locomotion-centred-demo/HalfCheetah-airl-mixture": {"centre_reward"},
+    "locomotion-first-centred-demo/HalfCheetah-airl": {"centre_reward"},
+    "locomotion-first-centred-demo/HalfCheetah-airl-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
@@ -89,8 +89,14 @@ VARIED = {
         for k in (4, 8)
     },
     **{
-        f"locomotion-mcp-{k}-demo/HalfCheetah-airl-mixture": {"eval_every", "primitives"}
+        f"locomotion-first-mcp-{k}-demo/HalfCheetah-airl-mixture": {"eval_every", "primitives"}
         for k in (4, 8)
+    },
+    # Recorded when the demo's primitives, of which these have none, were not yet small.
+    **{
+        folder: {"trunk_hidden", "primitive_hidden", "gate_hidden"}
+        for folder in FOLDERS
+        if folder.startswith("locomotion-demo/")
     },
     # On-policy methods take longer.
     **{
@@ -99,21 +105,21 @@ VARIED = {
     },
     # Ten times as long.
     **{
-        f"locomotion-demo/{task}-{name}": {"eval_every"}
+        f"locomotion-first-demo/{task}-{name}": {"eval_every"}
         for task in ("HalfCheetah", "Hopper", "Walker2d")
         for name in ("airl", "airl-mixture", "airl-soft", "dac")
     },
-    "locomotion-demo/HalfCheetah-dac-td3": {"eval_every"},
+    "locomotion-first-demo/HalfCheetah-dac-td3": {"eval_every"},
     **{
-        f"locomotion-light-demo/{run}": {"eval_every", "gradient_penalty"}
+        f"locomotion-first-light-demo/{run}": {"eval_every", "gradient_penalty"}
         for run in ("HalfCheetah-airl-mixture", "HalfCheetah-airl-soft", "Hopper-airl-soft")
     },
-    "locomotion-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
-    "locomotion-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
-    "locomotion-alpha-02-demo/Hopper-dac": {"eval_every", "temperature"},
-    "locomotion-alpha-1-demo/Hopper-dac": {"eval_every", "temperature"},
-    "locomotion-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
-    "locomotion-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
+    "locomotion-first-alpha-1-demo/Hopper-airl": {"eval_every", "temperature"},
+    "locomotion-first-alpha-02-demo/Hopper-airl-mixture": {"eval_every", "temperature"},
+    "locomotion-first-alpha-02-demo/Hopper-dac": {"eval_every", "temperature"},
+    "locomotion-first-alpha-1-demo/Hopper-dac": {"eval_every", "temperature"},
+    "locomotion-first-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
+    "locomotion-first-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
