@@ -45,7 +45,8 @@ def _imitated(*names: str) -> dict[str, Changes]:
 
 
 _FIVE = _imitated("HalfCheetah", "Hopper", "Walker2d", "Ant", "CustomAnt")
-_AND_DAC = {"dac": _DAC, "dac-td3": _DAC_TD3}
+_MCP: dict[str, Changes] = {f"mcp-{k}": {"primitives": k} for k in (4, 8)}
+_AND_DAC: dict[str, Changes] = {"dac": _DAC, "dac-td3": _DAC_TD3}
 
 # The first settings. AIRL with α = 1, the temperature for which its logit is derived, too: at any
 # other, a step of life is paid by the unit of actions.
@@ -55,8 +56,7 @@ _FIRST = crossed(
         "airl": {},
         "airl-mixture": base.MIXTURE,
         "airl-soft": {**base.MIXTURE, "temperature": 1.0},
-        "mcp-4": {"primitives": 4},
-        "mcp-8": {"primitives": 8},
+        **_MCP,
         **_AND_DAC,
     },
 )
@@ -64,12 +64,7 @@ _FIRST = crossed(
 # What makes off-policy AIRL work on robots: its loss, the temperature, and how many random steps
 # come first. The released loss at 0.2 after the short warm-up is the recipe.
 _RELEASED = {"loss": "released"}
-_BY_THE_RECIPE = {
-    "airl": _RELEASED,
-    "mcp-4": {**_RELEASED, "primitives": 4},
-    "mcp-8": {**_RELEASED, "primitives": 8},
-    **_AND_DAC,
-}
+_BY_THE_RECIPE = {"airl": _RELEASED, **crossed(_MCP, {"": _RELEASED}), **_AND_DAC}
 _ROBOTS = _imitated("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
 _WHAT_DECIDES = crossed(
     _ROBOTS,
@@ -133,12 +128,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "locomotion": _robot(
         "Off-policy AIRL by the recipe, with SAC and SAC-MCP, beside DAC with SAC and TD3: 25 runs",
         {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
-        demo={
-            **base.SMALL_MCP,
-            "total_steps": 500_000,
-            "eval_every": 25_000,
-            "eval_episodes": 10,
-        },
+        demo={**base.SMALL_MCP, "total_steps": 500_000, "eval_every": 25_000, "eval_episodes": 10},
         variants=crossed(_FIVE, _BY_THE_RECIPE),
     ),
     "locomotion-first": _robot(
