@@ -50,6 +50,8 @@ VARIED = {
     "ant-rewards-centred-demo/implementation-4-mixture": {"centre_reward"},
     "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
+    "decides-velocity-demo/CustomAnt-released-fixed-short": {"reward_sees"},
+    "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     # On the mazes learners are soon where they go.
     **{
         f"experts/PointMaze{side}-{learner}": {"eval_every"}
