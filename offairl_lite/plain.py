@@ -197,7 +197,7 @@ class SAC:
     discount = 0.99
     target_rate = 0.01  # τ, by which the slow copies follow
     target_entropy = -1.0
-    actor_delay = 2  # updates of the critics for one of the rest
+    actor_delay = 2  # critic updates per actor update
 
     def __init__(self, obs_dim: int, action_dim: int, rng: Generator):
         self.actor = Actor(obs_dim, action_dim, rng)
@@ -315,7 +315,7 @@ def train(
         return sac.actor.sample(scale(obs), noise)[0]
 
     for k in range(num_episodes):
-        if k == len(episodes):  # The warm-up has been learned from: act.
+        if k >= warmup:  # The warm-up has been learned from: act.
             episode = run_episode(env, lambda obs: act(obs, randn(dims[1])))
             episodes.append(episode)
         replay, steps = join(episodes), len(episodes[k].reward)
@@ -330,5 +330,5 @@ def train(
             batch = draw(replay, scale, rng)
             reward = airl.r(batch.obs).detach()
             sac.update(batch, reward, randn(2, BATCH_SIZE, dims[1]))
-        if k + 1 == len(episodes):
+        if k + 1 >= warmup:
             yield len(replay.reward), evaluate(env, act), sac, airl, scale
