@@ -15,28 +15,30 @@ from offairl_lite.analysis import films, plots
 from offairl_lite.runs import records
 
 BOOK = Path(__file__).parents[1]
-BEGIN, EVERY, SHOWN = 100, 4, 4  # steps, steps, pictures
+# How many steps lie between two pictures.
+EVERY = {"Hopper": 25, "Walker2d": 10, "HalfCheetah": 3, "CustomAnt": 4}
+BEGIN, SHOWN = 40, 3
 
-robots = ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
 with plots.style():
-    fig, axes = plt.subplots(2, 2, figsize=(9, 5.4), layout="constrained")
-    for ax, robot in zip(axes.flat, robots, strict=True):
+    fig, axes = plt.subplots(
+        SHOWN, 4, figsize=(8.2, 6.1), layout="constrained"
+    )
+    for column, (robot, every) in zip(axes.T, EVERY.items(), strict=True):
         run = records.read(BOOK / f"records/locomotion-demo/{robot}-airl")
         end = run.returns[:, -1]
-        member = int(np.argsort(end)[len(end) // 2])
+        median = int(np.argsort(end)[len(end) // 2])
         pictures = films.frames(
-            run.policy.member(member),
+            run.policy.member(median),
             run.config.env_id,
-            max_steps=BEGIN + EVERY * (SHOWN - 1),
-            every=EVERY,
+            max_steps=every * (BEGIN + SHOWN - 1),
+            every=every,
         )[-SHOWN:]
-        width = pictures.shape[2] // 4
-        strip = [picture[:, width:-width] for picture in pictures]
-        ax.imshow(np.concatenate(strip, 1))
+        for ax, picture in zip(column, pictures, strict=True):
+            ax.imshow(picture)
+            ax.set_axis_off()
         noted = demonstrations.EXPERTS / f"{robot}.json"
         demonstrated = records.read_json(noted)["demonstrated"][0]
-        share = 100 * end[member] / demonstrated
-        print(robot, end.round(), round(share))
-        ax.set_title(f"{robot}: {share:.0f} % of the demonstrations")
-        ax.set_axis_off()
+        share = 100 * end[median] / demonstrated
+        column[0].set_title(f"{robot}: {share:.0f} %")
+    fig.get_layout_engine().set(wspace=0.01, hspace=0.01, w_pad=0, h_pad=0)
     fig.savefig(BOOK / "_static/robots.png", dpi=110)
