@@ -39,7 +39,6 @@ VARIED = {
     "maze-imitation-right-demo": {"env_id"},
     "marsh-airl-memory-demo/all": {"env_id"},
     "marsh-airl-ppo-demo/state": {"env_id"},
-    "marsh-imitation-light-demo/implementation-4": {"gradient_penalty"},
     "decides-marsh-demo/released/implementation-4": {"loss"},
     "decides-marsh-demo/mixture/implementation-4": {"loss"},
     "decides-marsh-demo/released-16/implementation-4": {"loss"},
