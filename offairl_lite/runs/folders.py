@@ -351,10 +351,11 @@ def one_line() -> Iterator[None]:
             yield
     except KeyboardInterrupt:
         sys.exit("offairl: stopped")
+    except BrokenPipeError:  # of `offairl list | head`, which has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
         known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
-        why = str(error)
-        if isinstance(error, MemoryError) or "allocate" in why:
+        if "allocate" in (why := str(error)) or isinstance(error, MemoryError):
             cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
             why = f"there is not enough memory: {cure}"
         elif not isinstance(error, known):

@@ -275,6 +275,14 @@ def test_mistakes_are_answered_in_one_line(
     assert not (elsewhere / "runs").exists()
 
 
+def test_a_reader_of_the_list_may_stop_reading():
+    """As `offairl list | head -1` does."""
+    command = [sys.executable, "-m", "offairl_lite.runs.cli", "list"]
+    listing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    listing.stdout.close()
+    assert listing.communicate()[1] == b""
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
