@@ -56,6 +56,10 @@ VARIED = {
     "ant-transfer-demo/true/scratch": {"reward"},
     "decides-velocity-demo/CustomAnt-released-fixed-short": {"reward_sees"},
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
+    "decides-transfer-demo/state/scratch": {"centre_reward"},
+    "decides-transfer-demo/velocity/policy": {"centre_reward"},
+    "decides-transfer-demo/dac/scratch": {"centre_reward"},
+    "decides-transfer-demo/true/scratch": {"reward"},
     # On the mazes learners are soon where they go.
     **{
         f"experts/PointMaze{side}-{learner}": {"eval_every"}
