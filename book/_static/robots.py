@@ -17,11 +17,11 @@ from offairl_lite.runs import records
 BOOK = Path(__file__).parents[1]
 # How many steps lie between two pictures.
 EVERY = {"Hopper": 25, "Walker2d": 10, "HalfCheetah": 3, "CustomAnt": 4}
-BEGIN, SHOWN = 40, 3
+BEGIN, SHOWN = 40, 2
 
 with plots.style():
     fig, axes = plt.subplots(
-        SHOWN, 4, figsize=(8.2, 6.1), layout="constrained"
+        SHOWN, 4, figsize=(8.2, 4.2), layout="constrained"
     )
     for column, (robot, every) in zip(axes.T, EVERY.items(), strict=True):
         run = records.read(BOOK / f"records/locomotion-demo/{robot}-airl")
