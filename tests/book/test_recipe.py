@@ -376,6 +376,11 @@ def test_the_percentages_are_those_of_the_records():
         cells = [f"{end.min():.0f}–{end.max():.0f}" for end in ends]
         name = "Ant, three seeds" if robot == "Ant" else robot
         assert f"| {name} | {' | '.join(cells)} |" in PAGE
+    falls = [
+        int(demonstrations.load(f"{robot}-v5").transitions.terminated.sum())
+        for robot in ("Hopper", "Ant")
+    ]
+    assert f"Of 50 demonstrations {falls[0]} end in a fall on Hopper, and {falls[1]} on Ant" in PAGE
     hopper = records.read(RECORDS / "locomotion-demo/Hopper-airl").returns
     second_half = hopper[:, hopper.shape[1] // 2 :]
     assert round(100 * (second_half < 0.75 * demonstrated("Hopper")).mean()) == 18
