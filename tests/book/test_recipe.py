@@ -376,6 +376,10 @@ def test_the_percentages_are_those_of_the_records():
         cells = [f"{end.min():.0f}–{end.max():.0f}" for end in ends]
         name = "Ant, three seeds" if robot == "Ant" else robot
         assert f"| {name} | {' | '.join(cells)} |" in PAGE
+    cheetah = records.read(RECORDS / "locomotion-long-demo/HalfCheetah-airl")
+    late = 100 * cheetah.returns[:, -1] / demonstrated("HalfCheetah")
+    assert cheetah.steps[-1] == 1_000_000
+    assert f"after a million steps it comes to {late.min():.0f}–{late.max():.0f} %" in PAGE
     falls = [
         int(demonstrations.load(f"{robot}-v5").transitions.terminated.sum())
         for robot in ("Hopper", "Ant")

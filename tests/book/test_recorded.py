@@ -106,7 +106,7 @@ VARIED = {
     **{
         folder: {"trunk_hidden", "primitive_hidden", "gate_hidden"}
         for folder in FOLDERS
-        if folder.startswith("locomotion-demo/") and "/Ant-" not in folder
+        if re.match("locomotion-(long-)?demo/", folder) and "/Ant-" not in folder
     },
     # On-policy methods take longer.
     **{
