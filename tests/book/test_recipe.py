@@ -295,7 +295,7 @@ def test_results_become_tables_and_intervals(capsys):
 def test_the_policy_acts_without_the_package(tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime", reason="ONNX is not installed: pip install -e '.[export]'")
     monkeypatch.chdir(tmp_path)
-    (line,) = [command for command in commands() if command.startswith("offairl export")]
+    (line,) = [command for command in commands() if command.startswith("offairl export ")]
     run = RECORDS / "maze-imitation-demo"
     cli.main(shlex.split(line.replace("runs/arm", str(run)))[1:])
     (block,) = [block for block in blocks("python") if "onnxruntime" in block]
