@@ -55,6 +55,10 @@ VARIED = {
     "ant-rewards-centred-demo/implementation-4-velocity": {"centre_reward"},
     "ant-transfer-demo/true/scratch": {"reward"},
     "decides-velocity-demo/CustomAnt-released-fixed-short": {"reward_sees"},
+    **{
+        f"decides-ant-rewards-demo/{n}/CustomAnt-released-fixed-short": {"reward"}
+        for n in (1, 2, 3)
+    },
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     "decides-transfer-demo/state/scratch": {"centre_reward"},
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
