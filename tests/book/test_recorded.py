@@ -110,7 +110,7 @@ VARIED = {
     **{
         folder: {"trunk_hidden", "primitive_hidden", "gate_hidden"}
         for folder in FOLDERS
-        if re.match("locomotion-(long-)?demo/", folder) and "/Ant-" not in folder
+        if re.match(r"locomotion-(long-)?demo/(?!Ant-|.*-mcp-)", folder)
     },
     # On-policy methods take longer.
     **{
