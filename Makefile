@@ -48,7 +48,7 @@ $(STAGE)/%.run: % $(SOURCES) $(ENV) | stage
 # keeps the kernels' start-up notices out of the output.
 stage:
 	@mkdir -p $(STAGE) build/ipython/profile_default
-	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints --exclude checkpoint --exclude curve.png --exclude __pycache__ book _config.yml _toc.yml | tar -xf - -C $(STAGE)
+	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints --exclude checkpoint --exclude curve.png --exclude __pycache__ book README.md _config.yml _toc.yml | tar -xf - -C $(STAGE)
 	@echo 'c.IPKernelApp.log_level = 40' > build/ipython/profile_default/ipython_kernel_config.py
 
 # Render the chapters as executed. A warning is an error, the next time too: forget what was read.

@@ -83,13 +83,14 @@ def missing(n: int) -> list[str]:
 def hours() -> float:
     """Return how long the paper's seeds and steps take on one core.
 
-    That is measured: Hopper with networks of the paper's size.
+    That is measured: runs of the recipe and of DAC on robots, with
+    networks of the paper's size.
     """
     paces = [
         records.read_json(path)["wall_s"]
         / len(records.read(path.parent).rows)
         / records.read(path.parent).config.schedule.eval_every
-        for path in RECORDS.glob("locomotion-first-full/Hopper-*/run.json")
+        for path in RECORDS.glob("locomotion-full/*/run.json")
     ]
     return float(np.mean(paces)) * SEEDS * STEPS / 3600
 
