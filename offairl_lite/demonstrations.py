@@ -341,7 +341,7 @@ def _require_action(action: Any, units: Box, where: str) -> None:
             return
     raise ValueError(
         f"{where}: the action is {action!r}; expected finite numbers in the task's own units, "
-        f"{units}: mend the policy, or clip what it returns (a model of Stable-Baselines3: "
+        f"within {units}: mend the policy, or clip what it returns (a model of Stable-Baselines3: "
         "model.predict(obs)[0])"
     )
 

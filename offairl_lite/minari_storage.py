@@ -237,7 +237,8 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
         expect(found == shape, f"{part} of shape {shape}", found)
         expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
         bad = np.argwhere(faulty(array))
-        expect(not len(bad), f"finite {part}", f"{len(bad)} {FAULTY}, the first at {bad[:1]}")
+        found = f"{len(bad)} {FAULTY}, the first at {bad[:1]}: {array[tuple(bad[:1].T)]}"
+        expect(not len(bad), f"finite {part}", found)
     for part, space in spaces.items():
         array = getattr(episode, part)
         for step, i in np.argwhere(outside(array, space))[:1]:

@@ -4,7 +4,7 @@ The colours are those of Okabe and Ito (2008).
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -145,9 +145,3 @@ def trajectories(
     """Draw N paths of T observations over the maze, whose first two dimensions are x and y."""
     for i, path in enumerate(np.asarray(obs)):
         ax.plot(*path[:, :2].T, color=color, alpha=0.7, linewidth=1, label=None if i else label)
-
-
-def mark(ax: Axes, steps: int, total: int, seeds: Sequence[int], scale: str) -> None:
-    """Write the scale, the number of seeds and the number of steps above a figure."""
-    text = f"{scale} scale · {len(seeds)} seeds · {steps:,} of {total:,} steps"
-    ax.set_title(text, loc="left", fontsize="small", color=GREY)

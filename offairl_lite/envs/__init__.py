@@ -12,6 +12,7 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 
 import importlib
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 import gymnasium
 import numpy as np
@@ -74,6 +75,9 @@ def spec(env_id: str) -> EnvSpec:
             "or add that folder to PYTHONPATH"
         ) from error
     except gymnasium.error.Error as error:
+        if module and (near := get_close_matches(name, gymnasium.registry)):
+            why = f"{module} does not register it; did you mean {' or '.join(near)}?"
+            raise ValueError(f"unknown environment {env_id!r}: {why}") from error
         raise ValueError(
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
             "registered with Gymnasium: register your own with "

@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium
+import numpy as np
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations
+from offairl_lite import demonstrations, envs
 from offairl_lite.analysis import films
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
+from offairl_lite.minari_storage import local_datasets
 from offairl_lite.runs import export as exports
 from offairl_lite.runs import folders, inputs, launch, records
 from offairl_lite.runs import tensorboard as logs
@@ -69,7 +71,7 @@ def _words(seconds: float) -> str:
 def demos(
     env_id: Positional[str],
     *,
-    trajectories: int = 50,
+    trajectories: int | None = None,
     dataset: str | None = None,
     experts: int | None = None,
     policy: str | None = None,
@@ -81,9 +83,8 @@ def demos(
 
     Args:
         env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
-        trajectories: how many episodes.
-        dataset: a Minari data set of your own, to check against the task; with --policy the name
-            of a new one.
+        trajectories: how many episodes; by default all of a data set that is there, otherwise 50.
+        dataset: a Minari data set of your own to check, or with --policy the name of a new one.
         experts: of how many of the shipped experts; by default of all.
         policy: a run's folder, or a policy's file, to make the data set of: all members take
             turns, and actions are sampled.
@@ -93,6 +94,8 @@ def demos(
             f"--experts {experts} would not be used, since {dataset} is by none of the shipped "
             "ones: leave it out"
         )
+    if trajectories is None:
+        trajectories = local_datasets().get(dataset or "", {}).get("total_episodes", 50)
     if policy is not None:
         if dataset is None:
             raise ValueError(
@@ -101,11 +104,14 @@ def demos(
             )
         demonstrations.generate(_policy(policy), env_id, trajectories, dataset)
     data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
-    returns = data.returns
-    print(
-        f"{env_id}: {len(data)} trajectories, {sum(data.lengths):,} steps, return "
-        f"{returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
-    )
+    lengths, returns = np.array(data.lengths), data.returns
+    ended = data.transitions.terminated[lengths.cumsum() - 1].numpy() == 1
+    said = f"return {returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
+    said = f"{said if returns.any() else 'no rewards'}; {ended.sum()} of them terminated"
+    print(f"{env_id}: {len(data)} trajectories, {sum(lengths):,} steps, {said}")
+    if at_limit := (ended & (lengths == envs.spec(env_id).max_episode_steps)).sum():
+        note = f"note: {at_limit} terminated in the last step of the time limit; if the limit ended"
+        print(f"{note} them, write them with terminated=False", file=sys.stderr)
 
 
 def watch(
@@ -168,7 +174,9 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
-def export(run: Positional[Path], *, out: Path, member: int | None = None) -> None:
+def export(
+    run: Positional[Path], *, out: Path, member: int | None = None, env_id: str | None = None
+) -> None:
     """Write the policies and rewards of a run for programs that know nothing of this package.
 
     Each is an ONNX file, if ONNX is installed, and a program of PyTorch. They take the observations
@@ -178,7 +186,10 @@ def export(run: Positional[Path], *, out: Path, member: int | None = None) -> No
         run: the folder of a run that has ended.
         out: the folder for the files; those of an earlier export are overwritten.
         member: which member of the population; by default every one that has not diverged.
+        env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
     """
+    for part in records.run_folders(run):
+        folders.known(part, env_id, f"export --out {out}")
     notes = exports.export(run, out, member)
     print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")

@@ -179,12 +179,6 @@ def _create(
         if not missing[name]:
             continue
         things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
-        for what, thing in things.items():
-            one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
-            if one != other and not find(experiment).reward_from:  # These experiments mean it.
-                fits = "the numbers of observations and actions fit, and no more is checked"
-                note = f"note: the {what} is of {one}, this run of {other}; {fits}"
-                print(note.replace("_", " "), file=sys.stderr)
         if config.learns_reward:
             asked = given.trajectories, given.dataset, given.subsample, given.experts
             shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
@@ -194,6 +188,11 @@ def _create(
         small = {"replay_size": config.schedule.update_every or 1}
         tried = config if config.reward == "gan-gcl" else config.change(**small)
         Trainer(tried, seeds, shown, **things, execution=execution).close()
+        for what, thing in things.items():
+            one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
+            if one != other and not find(experiment).reward_from:  # These experiments mean it.
+                note = f"note: the {what} is of {one}, this run of {other}; only sizes are checked"
+                print(note.replace("_", " "), file=sys.stderr)
         parts = max(min(spread[name], len(missing[name])), 1)
         for part in np.array_split(missing[name], parts):
             some, folder, own, members = tuple(part.tolist()), place / name, things, None
@@ -290,7 +289,8 @@ def _finish(
     print(_table(runs))
     print(f"recorded in {place}")
     for env_id, shown in data.items():
-        print(f"demonstrations of {env_id}: {shown.returns.mean():.2f}")
+        mean = f": {shown.returns.mean():.2f}" if shown.returns.any() else " have no rewards"
+        print(f"demonstrations of {env_id}{mean}")
     if failures:
         raise ChildProcessError(
             f"{len(failures)} of {len(left)} jobs failed, twice: see above; "

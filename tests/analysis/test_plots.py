@@ -112,8 +112,3 @@ def test_trajectories_are_drawn_each_and_named_once(ax):
     plots.trajectories(ax, paths, label="expert")
     np.testing.assert_array_equal([line.get_xydata() for line in ax.lines], paths[..., :2])
     assert ax.get_legend_handles_labels()[1] == ["expert"]
-
-
-def test_a_figure_says_its_scale(ax):
-    plots.mark(ax, 6_000, 1_000_000, (0, 1, 2), "demo")
-    assert ax.get_title("left") == "demo scale · 3 seeds · 6,000 of 1,000,000 steps"

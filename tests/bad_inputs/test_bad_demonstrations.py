@@ -41,7 +41,7 @@ def at(part, index, value):
         (at("obs", (2, 1), np.nan), "expected finite observations; found 1 ...[[2 1]]"),
         (at("obs", (4, 0), np.inf), "expected finite observations; found 1 ...[[4 0]]"),
         (at("obs", (0, 0), 1e300), "expected finite observations; found 1 ...[[0 0]]"),
-        (at("action", (3, 1), np.nan), "expected finite actions; found 1 ...[[3 1]]"),
+        (at("action", (3, 1), np.nan), "expected finite actions; found 1 ...[[3 1]]: [nan]"),
         (at("action", (0, 0), -np.inf), "expected finite actions; found 1"),
         (at("reward", 1, np.nan), "expected finite rewards; found 1 ...[[1]]"),
         (at("reward", 1, 1e300), "expected finite rewards; found 1 ...[[1]]"),
@@ -104,7 +104,7 @@ def test_no_recording_is_written_with(refused, arm, minari_folder, recording, wo
     assert not (minari_folder / "own").exists()
 
 
-SHAPE = "the action is ...; expected finite numbers in the task's own units, Box([-2...[4. 1.]"
+SHAPE = "the action is ...; expected finite numbers in the task's own units, within Box(...[4. 1.]"
 
 
 @pytest.mark.parametrize(

@@ -162,11 +162,13 @@ def test_recordings_become_a_data_set(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     monkeypatch.chdir(tmp_path)
     for i in range(20):
-        np.savez(f"episode-{i}.npz", obs=np.tile([-1.0, 0, 0], (6, 1)), action=np.zeros((5, 1)))
+        obs, action = np.tile([-1.0, 0, 0], (6, 1)), np.zeros((5, 1))
+        np.savez(f"episode-{i}.npz", obs=obs, action=action, terminated=i == 0)
     (block,) = [block for block in blocks("python") if "Recording" in block]
     exec(block.replace("my_robot:Arm-v0", "Pendulum-v1"), {})
     data = demonstrations.load("Pendulum-v1", 20, "own/recorded-v0")
     assert data.lengths == (5,) * 20
+    assert data.transitions.terminated.sum() == 1
 
 
 def block(word):
@@ -298,6 +300,7 @@ def test_the_policy_acts_without_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (line,) = [command for command in commands() if command.startswith("offairl export ")]
     run = RECORDS / "maze-imitation-demo"
+    line = line.replace("my_robot:Arm-v0", "offairl/PointMazeLeft-v0")
     cli.main(shlex.split(line.replace("runs/arm", str(run)))[1:])
     (block,) = [block for block in blocks("python") if "onnxruntime" in block]
     exec(block, known := {})

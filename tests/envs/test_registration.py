@@ -134,6 +134,9 @@ def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     try:
         assert envs.spec("modular:Modular-v0").id == "Modular-v0"
+        near = "'modular:Modluar-v0': modular does not register it; did you mean Modular-v0"
+        with pytest.raises(ValueError, match=near):
+            envs.spec("modular:Modluar-v0")
     finally:
         gymnasium.registry.pop("Modular-v0", None)
         sys.modules.pop("modular", None)

@@ -177,6 +177,7 @@ ROWS = [
     ("resume strange --steps 300", "no module is imported", "--env-id evil:Evil-v0"),
     ("verify nowhere", "no run in", "nowhere"),
     ("verify done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
+    ("export strange --out files", "no module is imported", "--env-id evil:Evil-v0`"),
     ("verify strange", "no module is imported", "`offairl verify strange --env-id evil:Evil-v0`"),
     ("verify done --evaluations 0", "evaluations is 0", "has 1"),
     ("verify done --evaluations 9", "evaluations is 9", "has 1"),
@@ -199,7 +200,7 @@ ROWS = [
     (f"demos {MAZE} --dataset own/none-v0", "no local data set 'own/none-v0'"),
     (f"demos {MAZE} --dataset own/pendulum-v0 --trajectories 2", "expected actions of shape"),
     (f"demos {MAZE} --dataset own/pendulum-v0 --experts 1", "--experts 1 would not be used"),
-    ("demos Pendulum-v1 --dataset own/pendulum-v0", "it has 2", "--trajectories 2"),
+    ("demos Pendulum-v1 --dataset own/pendulum-v0 --trajectories 9", "it has 2", "give --traj"),
     ("demos Pendulum-v1 --policy mine", "needs a name", "--dataset own/trained-v0"),
     ("demos Pendulum-v1 --policy mine --dataset own/x", "own/x", "own/trained-v0"),
     ("demos Pendulum-v1 --policy mine --dataset ../x-v0", "../x-v0", "own/trained-v0"),
@@ -327,5 +328,5 @@ def test_a_reward_of_another_task_is_taken_with_a_note(place, capsys):
     )
     for env_id, noted in ((MAZE, False), (RIGHT, True)):
         cli.main([*line.split(), "--prepare", "--env-id", env_id, "--out", f"noted-{noted}"])
-        note = f"note: the frozen reward is of {MAZE}, this run of {RIGHT}; the numbers of"
+        note = f"note: the frozen reward is of {MAZE}, this run of {RIGHT}; only sizes"
         assert (note in capsys.readouterr().err) == noted

@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 import torch
 from filelock import FileLock
@@ -26,7 +27,7 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.core.sac import SAC
-from offairl_lite.demonstrations import EXPERTS
+from offairl_lite.demonstrations import EXPERTS, Recording, write
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import cli, folders, inputs, jobs, launch
 from offairl_lite.runs.grid import docstrings
@@ -123,8 +124,26 @@ def test_demos_makes_a_data_set_of_a_policy_and_overwrites_none(capsys, elsewher
     offairl(f"{line} --dataset own/folder-v0")
     assert capsys.readouterr().out == made  # the same policy's, and as it was
     assert "3 trajectories were asked for" not in made
-    message = failure("demos Pendulum-v1 --dataset own/file-v0", capsys)
+    offairl("demos Pendulum-v1 --dataset own/folder-v0")  # All of them, unless it is said.
+    assert capsys.readouterr().out == made
+    message = failure("demos Pendulum-v1 --dataset own/file-v0 --trajectories 50", capsys)
     assert "50 trajectories were asked for; it has 3: give --trajectories 3, or fewer" in message
+
+
+def test_demos_says_what_recordings_do_not_have_and_how_they_end(capsys, own, minari_folder):
+    own("Arm-v0")
+    at_limit, short = (Recording(np.zeros((n + 1, 2)), np.zeros((n, 2)), True) for n in (5, 3))
+    cut = at_limit._replace(terminated=False)
+    write([at_limit, short, cut], "Arm-v0", "own/ends-v0")
+    offairl("demos Arm-v0 --dataset own/ends-v0")
+    said = capsys.readouterr()
+    assert said.out == "Arm-v0: 3 trajectories, 13 steps, no rewards; 2 of them terminated\n"
+    assert said.err.startswith("note: 1 terminated in the last step of the time limit; ")
+    rewarded = cut._replace(reward=np.ones(5))
+    write([rewarded], "Arm-v0", "own/rewarded-v0")
+    offairl("demos Arm-v0 --dataset own/rewarded-v0")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.endswith("return 5.00 (from 5.00 to 5.00); 0 of them terminated")
 
 
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
@@ -534,11 +553,12 @@ def arm_folder(elsewhere, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "command", ["resume one --steps 250", "resume one --seeds 5", "verify one"]
+    "command",
+    ["resume one --steps 250", "resume one --seeds 5", "verify one", "export --out files one"],
 )
 def test_no_file_s_module_is_imported_unless_the_user_names_it(command, arm_folder, capsys):
     before = {path: path.read_bytes() for path in arm_folder.rglob("*") if path.is_file()}
-    verb = command.split()[0]
+    verb = command.partition(" one")[0]
     message = failure(command, capsys)
     assert "one is a run on arm:Arm-v0; no module is imported because a file names it" in message
     assert message.endswith(f"`offairl {verb} one --env-id arm:Arm-v0`")
