@@ -19,19 +19,21 @@ PAGES = ["README.md", "book/index.md", "book/running_at_scale.md", "CONTRIBUTING
 
 def steps(text):
     """Every Python block and every `offairl` line of a page, in order, with the text before it."""
-    pattern = r"```python\n(?P<python>.*?)```|^ {4}(?P<command>offairl [^\n]*)$"
+    command = r"^ {4}(?P<command>offairl (?:[^\n]*\\\n)*[^\n]*)$"  # lines that end in \ go on
+    pattern = rf"```python\n(?P<python>.*?)```|{command}"
     end = 0
     for match in re.finditer(pattern, text, re.DOTALL | re.MULTILINE):
         before, end = text[end : match.start()], match.end()
-        yield match.lastgroup, re.sub(r"\s+#.*", "", match[match.lastgroup]), before
+        code = match[match.lastgroup].replace("\\\n", " ")
+        yield match.lastgroup, re.sub(r"\s+#.*", "", code), before
 
 
 def test_steps_are_found_in_order():
-    text = "Do `this`:\n```python\nx = 1\n```\n\n    offairl list  # all\n    offairl bench\n"
+    text = "Do `this`:\n```python\nx = 1\n```\n\n    offairl list  # all\n    offairl \\\n  bench\n"
     assert [(kind, code) for kind, code, _ in steps(text)] == [
         ("python", "x = 1\n"),
         ("command", "offairl list"),
-        ("command", "offairl bench"),
+        ("command", "offairl    bench"),
     ]
 
 
