@@ -14,16 +14,17 @@ CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
 SOURCES  := $(wildcard book/*.py) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
-# No cell may take longer than ten minutes, except at full scale.
-EXECUTE := --nbmake --overwrite --nbmake-kernel=python3 \
-           --nbmake-timeout=$(if $(filter full,$(SCALE)),-1,600)
+# The seconds of a cell: at most ten minutes, except at full scale.
+CELL    := $(if $(filter full,$(SCALE)),-1,600)
+EXECUTE := --nbmake --overwrite --nbmake-kernel=python3 --nbmake-timeout=$(CELL)
 
 # Processes that share the tests and the chapters.
 WORKERS ?= auto
 
 # One thread: small networks gain nothing from more, and curves do not depend on the machine's
-# cores. Chapters can then be run side by side: `make -j2 book`.
+# cores. So as many chapters run side by side, up to four: each needs about a gigabyte of memory.
 export OMP_NUM_THREADS ?= 1
+JOBS ?= $(shell getconf _NPROCESSORS_ONLN | awk '{print ($$1 < 4 ? $$1 : 4)}')
 export IPYTHONDIR := $(CURDIR)/build/ipython
 
 .PHONY: help book stage html test soak system clean
@@ -35,13 +36,15 @@ help:
 	@echo 'make system  install Chromium, which the browser checks need (Debian, Ubuntu; as root)'
 	@echo 'make clean   remove everything the commands above have made'
 
-book: $(RUN)
+book: $(ENV)
+	@$(MAKE) --no-print-directory -j$(JOBS) $(RUN)
 	@$(MAKE) --no-print-directory html
 	@echo 'The book is ready. Open $(CURDIR)/$(HTML)/index.html'
 
 $(STAGE)/%.run: % $(SOURCES) $(ENV) | stage
 	@cp $< $(STAGE)/$<
-	$(BIN)/pytest -q --no-header $(EXECUTE) $(STAGE)/$<
+	@echo 'Running $<'
+	@$(BIN)/jupyter execute --NbClientApp.log_level=WARN --inplace --kernel_name=python3 --timeout=$(CELL) $(STAGE)/$<
 	@touch $@
 
 # All of the book but the chapters, which are executed in the staging folder; and a profile that

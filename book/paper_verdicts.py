@@ -6,6 +6,7 @@ each claim.
 
 from collections.abc import Iterable
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -91,15 +92,13 @@ def described(run: str, size: Scale) -> str:
     return ", ".join((networks(run, size), *words))
 
 
-def runaways(found: Run) -> int:
-    """Count the seeds whose temperature was ever above `RUNAWAY`."""
-    return len(
-        {
-            row.seed
-            for row in found.rows
-            if row.metrics.get("temperature", 0) > RUNAWAY
-        }
-    )
+def runaways(found: Run) -> set[int]:
+    """Return the seeds whose temperature was ever above `RUNAWAY`."""
+    return {
+        row.seed
+        for row in found.rows
+        if row.metrics.get("temperature", 0) > RUNAWAY
+    }
 
 
 # ---- Rules ----
@@ -233,22 +232,24 @@ def compare(
     enough = large_enough(found, size)
     common = set.intersection(*(set(each.steps) for each in found))
     steps = [int(max(common))] * len(found)
+    away = [runaways(each) for each in found]
     if comparison.question in RETURNS:
         if enough:
             steps = [int(each.steps[-1]) for each in found]
         ends = list(map(_at, found, steps))
         effect, chance, told = _of_returns(comparison, ends)
+        confounded = any(away)
     else:
         # The seeds that all of the runs have are pairs.
         kept = [np.array(each.seeds)[whole(each)] for each in found]
         pairs = sorted(set.intersection(*map(set, kept)))
         ends = [_at(each, steps[0], pairs) for each in found]
-        before = _at(found[0], found[0].steps[0], pairs)
-        effect, chance, told = _of_successes(
-            comparison.question, [end > BAR for end in ends], before > BAR
-        )
+        before = _at(found[0], found[0].steps[0], pairs) > BAR
+        question, arrived = comparison.question, [end > BAR for end in ends]
+        effect, chance, told = _of_successes(question, arrived, before)
+        lost = [np.isin(pairs, list(each)) for each in away]
+        confounded = _could_turn(question, told, arrived, lost, before)
     seeds = min(map(len, ends))
-    away = sum(map(runaways, found))
     length = " and ".join(f"{s / 1000:g}k" for s in dict.fromkeys(steps))
     return Found(
         comparison.what,
@@ -258,8 +259,8 @@ def compare(
         effect,
         chance,
         told,
-        verdict(told, enough, away > 0),
-        away,
+        verdict(told, enough, confounded),
+        sum(map(len, away)),
     )
 
 
@@ -301,6 +302,30 @@ def _of_successes(
         rates,
         p,
         ("the opposite", "unclear", "as claimed")[int(sign) + 1],
+    )
+
+
+def _could_turn(
+    question: str,
+    told: str,
+    arrived: list[np.ndarray],
+    lost: list[np.ndarray],
+    before: np.ndarray,
+) -> bool:
+    """Say whether the answer would change if lost seeds arrived or not."""
+    return any(
+        _of_successes(
+            question,
+            [
+                np.where(away, value, seeds)
+                for away, value, seeds in zip(
+                    lost, values, arrived, strict=True
+                )
+            ],
+            before,
+        )[2]
+        != told
+        for values in product((False, True), repeat=len(arrived))
     )
 
 

@@ -6,7 +6,7 @@ from offairl_lite.runs import records
 from paper_claims import CLAIMS
 from paper_figures import record
 from paper_verdicts import (
-    IN_PART,
+    CONFOUNDED,
     RECORDS,
     SEEDS,
     STEPS,
@@ -95,12 +95,12 @@ def hours() -> float:
     return float(np.mean(paces)) * SEEDS * STEPS / 3600
 
 
-def needed(n: int, word: str) -> str:
+def needed(n: int, found: list[Found]) -> str:
     """Say what would decide a claim that is not decided."""
     wanted = []
     if runs := missing(n):
         wanted.append(f"{len(runs)} runs, {hours() * len(runs):.0f} hours")
-    if runs := out_of_bounds(n):
+    if runs := out_of_bounds(n, found):
         took = sum(
             records.read_json(RECORDS / record(run, "full") / "run.json")[
                 "wall_s"
@@ -108,21 +108,21 @@ def needed(n: int, word: str) -> str:
             for run in runs
         )
         wanted.append(
-            f"{len(runs)} runs with a bounded temperature, "
-            f"{took / 3600:.0f} hours"
+            f"{len(runs)} run{'s' * (len(runs) > 1)} with a bounded "
+            f"temperature, {took / 60:.0f} minutes"
         )
-    if word in (UNDECIDED, IN_PART):
+    if any(each.verdict == UNDECIDED for each in found):
         wanted.append("more seeds")
     return "; ".join(wanted) or "–"
 
 
-def out_of_bounds(n: int) -> list[str]:
-    """Return the runs of a claim whose temperature ran away."""
+def out_of_bounds(n: int, found: list[Found]) -> list[str]:
+    """Return the runs of a claim whose temperature ran away, and counts."""
     runs = [
         run
-        for each in CLAIMS[n].comparisons
+        for each, answer in zip(CLAIMS[n].comparisons, found, strict=True)
         for run in (each.one, each.other)
-        if isinstance(run, str) and recorded(run, "full")
+        if isinstance(run, str) and answer.verdict == CONFOUNDED
     ]
     return [
         run

@@ -7,8 +7,8 @@ from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
-import gymnasium
 import torch
+from gymnasium import Env
 from jaxtyping import Float
 from torch import Generator, Tensor, nn
 from torch.nn.functional import softplus
@@ -139,10 +139,11 @@ class Actor(nn.Module):
         pre_tanh = mean + log_std.exp() * noise
         return pre_tanh, log_density(pre_tanh, mean, log_std)
 
-    @torch.no_grad()
-    def log_prob(self, batch: Batch) -> Vector:
-        """Return log π(a|s) of given actions, without gradients."""
-        return log_density(batch.pre_tanh, *self(batch.obs))
+
+@torch.no_grad()
+def log_pi(actor: Actor, batch: Batch) -> Vector:
+    """Return log π(a|s) of given actions, without gradients."""
+    return log_density(batch.pre_tanh, *actor(batch.obs))
 
 
 class TwinCritic(nn.Module):
@@ -209,16 +210,6 @@ class SAC:
         self.alpha_optimizer = adam([self.log_alpha])
         self.updates = 0
 
-    def update(self, batch: Batch, reward: Vector, noise: Action):
-        """Train on a reward, the batch's or another; noise is (2, B, A)."""
-        self.updates += 1
-        update_critic(self, batch, reward, noise[0])
-        if self.updates % self.actor_delay == 0:
-            update_actor(self, batch.obs, noise[1])
-            weights = self.critic.state_dict()
-            for name, slow in self.slow_critic.state_dict().items():
-                slow.lerp_(weights[name], self.target_rate)
-
 
 def update_critic(sac: SAC, batch: Batch, reward: Vector, noise: Action):
     """Move Q(s, a) towards y."""
@@ -239,6 +230,23 @@ def update_actor(sac: SAC, obs: Obs, noise: Action):
     descend(loss, sac.actor_optimizer)
     loss = temperature_loss(alpha, log_prob, sac.target_entropy)
     descend(loss, sac.alpha_optimizer)
+
+
+def follow(slow: nn.Module, fast: nn.Module, rate: float):
+    """Move the weights of a slow copy towards those of its original."""
+    weights = fast.state_dict()
+    for name, weight in slow.state_dict().items():
+        weight.lerp_(weights[name], rate)
+
+
+def update_sac(sac: SAC, batch: Batch, reward: Vector, rng: Generator):
+    """Train on a reward for each row, the batch's own or another."""
+    noise = torch.randn(2, *batch.pre_tanh.shape, generator=rng)
+    sac.updates += 1
+    update_critic(sac, batch, reward, noise[0])
+    if sac.updates % sac.actor_delay == 0:
+        update_actor(sac, batch.obs, noise[1])
+        follow(sac.slow_critic, sac.critic, sac.target_rate)
 
 
 # Chapter 5: off-policy AIRL (Arnob 2020).
@@ -264,7 +272,7 @@ def draw(data: Batch, scale: Scale, rng: Generator) -> Batch:
 
 
 @torch.no_grad()
-def run_episode(env: gymnasium.Env, policy: Policy) -> Batch:
+def run_episode(env: Env, policy: Policy) -> Batch:
     """Return an episode of a policy that gives u for the action tanh(u)."""
     steps, done = [], False
     obs = torch.tensor(env.reset()[0], dtype=torch.float32)
@@ -287,48 +295,72 @@ def sticky_actions(action_dim: int, rng: Generator) -> Iterator[Action]:
             yield u
 
 
-def evaluate(env: gymnasium.Env, policy: Policy) -> float:
+def explore(
+    env: Env,
+    action_dim: int,
+    num_episodes: int,
+    rng: Generator,
+) -> list[Batch]:
+    """Return episodes of held random actions, after seeding the task."""
+    env.reset(seed=int(torch.randint(2**31, (), generator=rng)))
+    u = sticky_actions(action_dim, rng)
+    runs = range(num_episodes)
+    return [run_episode(env, lambda _: next(u)) for _ in runs]
+
+
+def policy_of(
+    actor: Actor,
+    scale: Scale,
+    rng: Generator | None = None,
+) -> Policy:
+    """Return π for unscaled observations, or its mean without an rng."""
+
+    def act(obs: Obs) -> Action:
+        mean, log_std = actor(scale(obs))
+        if rng is None:
+            return mean
+        return mean + log_std.exp() * torch.randn(mean.shape, generator=rng)
+
+    return act
+
+
+def evaluate(env: Env, policy: Policy) -> float:
     """Return the mean return of five episodes."""
     rewards = join([run_episode(env, policy) for _ in range(5)]).reward
     return rewards.sum().item() / 5
 
 
-def train(
-    env: gymnasium.Env,
-    demos: Batch,
+def update_discriminator(
+    airl: Discriminator,
+    actor: Actor,
+    expert: Batch,
+    policy: Batch,
     rng: Generator,
-    num_episodes: int = 60,
-    warmup: int = 30,
-) -> Iterator[tuple[int, float, SAC, Discriminator, Scale]]:
-    """Run Algorithm 1; yield steps, a return and the learners so far."""
-    env.reset(seed=int(torch.randint(2**31, (), generator=rng)))
+):
+    """Train D to tell the expert's steps from those in the buffer."""
+    log_probs = [log_pi(actor, batch) for batch in (expert, policy)]
+    mix = torch.rand(BATCH_SIZE, 1, generator=rng)
+    loss = airl_loss(airl.f, expert, policy, log_probs, mix)
+    descend(loss, airl.optimizer)
+
+
+def train(
+    env: Env, demos: Batch, rng: Generator, num_episodes: int, warmup: int
+) -> Iterator[tuple[int, SAC, Discriminator, Scale]]:
+    """Run Algorithm 1; yield the steps and the learners so far."""
     dims = demos.obs.shape[1], demos.pre_tanh.shape[1]
-    randn = partial(torch.randn, generator=rng)
-    u = sticky_actions(dims[1], rng)
-    episodes = [run_episode(env, lambda _: next(u)) for _ in range(warmup)]
+    episodes = explore(env, dims[1], warmup, rng)
     scale = normaliser(join(episodes).obs, demos.obs)
     airl, sac = Discriminator(dims[0], rng), SAC(*dims, rng)
-    zero = torch.zeros(dims[1])
-
-    def act(obs: Obs, noise: Action = zero) -> Action:
-        # Without noise u is the mean μ(s).
-        return sac.actor.sample(scale(obs), noise)[0]
-
     for k in range(num_episodes):
-        if k >= warmup:  # The warm-up has been learned from: act.
-            episode = run_episode(env, lambda obs: act(obs, randn(dims[1])))
-            episodes.append(episode)
-        replay, steps = join(episodes), len(episodes[k].reward)
-        for _ in range(steps):  # Train the discriminator.
-            expert = draw(demos, scale, rng)
-            policy = draw(replay, scale, rng)
-            log_probs = [sac.actor.log_prob(x) for x in (expert, policy)]
-            mix = torch.rand(BATCH_SIZE, 1, generator=rng)
-            loss = airl_loss(airl.f, expert, policy, log_probs, mix)
-            descend(loss, airl.optimizer)
-        for _ in range(steps):  # Train the policy on the reward r(s).
+        if k >= warmup:  # All random episodes have been learned from.
+            episodes += [run_episode(env, policy_of(sac.actor, scale, rng))]
+        replay = join(episodes)
+        for _ in episodes[k].reward:
+            expert, policy = (draw(x, scale, rng) for x in (demos, replay))
+            update_discriminator(airl, sac.actor, expert, policy, rng)
+        for _ in episodes[k].reward:
             batch = draw(replay, scale, rng)
-            reward = airl.r(batch.obs).detach()
-            sac.update(batch, reward, randn(2, BATCH_SIZE, dims[1]))
+            update_sac(sac, batch, airl.r(batch.obs), rng)
         if k + 1 >= warmup:
-            yield len(replay.reward), evaluate(env, act), sac, airl, scale
+            yield len(replay.reward), sac, airl, scale

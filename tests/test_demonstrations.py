@@ -24,7 +24,7 @@ from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import Demonstrations, load, short_name
 from offairl_lite.envs.models import GOAL
-from offairl_lite.runs.shipping import write_reference
+from shipping import write_reference
 
 MAZE = "offairl/PointMazeLeft-v0"
 

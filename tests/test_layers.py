@@ -13,7 +13,7 @@ scale config core.shapes core.rng core.acceleration envs tabular core.networks c
 core.replay core.absorbing core.rollouts minari_storage demonstrations plain core.rewards
 core.discriminator core.sac core.td3 core.ppo core.results core.collector core.requirements
 core.models core.fitting core.evaluation core.loop ablations experiments analysis.statistics
-analysis.epic analysis.plots analysis.films runs.shipping runs.records runs.tensorboard runs.inputs
+analysis.epic analysis.plots analysis.films runs.records runs.tensorboard runs.inputs
 learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders runs.grid
 runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905

@@ -151,9 +151,9 @@ def test_the_density_integrates_to_1(mean, std):
 def test_a_sample_s_density_is_that_of_its_action():
     actor, batch = plain.Actor(OBS, ACT, generator()), random_batch(generator(1))
     u, log_prob = actor.sample(batch.obs, torch.randn(B, ACT, generator=generator(2)))
-    torch.testing.assert_close(log_prob, actor.log_prob(batch._replace(pre_tanh=u)))
+    torch.testing.assert_close(log_prob, plain.log_pi(actor, batch._replace(pre_tanh=u)))
     assert log_prob.requires_grad
-    assert not actor.log_prob(batch).requires_grad
+    assert not plain.log_pi(actor, batch).requires_grad
 
 
 def test_the_losses_by_hand():
@@ -175,10 +175,10 @@ def test_sac_finds_the_best_action_and_holds_the_entropy():
     sac = plain.SAC(OBS, 1, rng)
     sac.target_entropy = -0.5
     for _ in range(800):
-        obs, noise = torch.randn(B, OBS, generator=rng), torch.randn(3, B, 1, generator=rng)
-        u = sac.actor.sample(obs, noise[2])[0].detach()
+        obs, noise = torch.randn(B, OBS, generator=rng), torch.randn(B, 1, generator=rng)
+        u = sac.actor.sample(obs, noise)[0].detach()
         reward = -5 * (torch.tanh(u).squeeze(-1) - 0.5).square()
-        sac.update(plain.Batch(obs, u, obs, reward, torch.ones(B)), reward, noise[:2])
+        plain.update_sac(sac, plain.Batch(obs, u, obs, reward, torch.ones(B)), reward, rng)
     u, log_prob = sac.actor.sample(obs, torch.randn(B, 1, generator=rng))
     assert torch.tanh(sac.actor(obs)[0]).mean().item() == pytest.approx(0.5, abs=0.15)
     assert -log_prob.mean().item() == pytest.approx(-0.5, abs=0.35)
@@ -253,14 +253,17 @@ def test_warm_up_actions_are_uniform_and_held():
 
 
 def short_run(demos, seed=0):
+    """Yield what `train` does, with the return of each policy in front."""
     env = gymnasium.make(envs.spec(LEFT))
-    return plain.train(env, demos, generator(seed), num_episodes=2, warmup=1)
+    for row in plain.train(env, demos, generator(seed), num_episodes=2, warmup=1):
+        _, sac, _, scale = row
+        yield plain.evaluate(env, plain.policy_of(sac.actor, scale)), *row
 
 
 def test_a_seed_gives_the_same_run_whatever_the_global_state(random_demonstrations):
     demos = random_demonstrations(LEFT).transitions
     run = list(short_run(demos))
-    steps, returns, sac, airl, scale = zip(*run, strict=True)
+    returns, steps, sac, airl, scale = zip(*run, strict=True)
     assert steps == (100, 200)
     assert all(-80 < x < -2 for x in returns)
     assert sac[-1].updates == 200
@@ -270,7 +273,7 @@ def test_a_seed_gives_the_same_run_whatever_the_global_state(random_demonstratio
     obs = scale[-1](demos.obs)
     assert torch.equal(airl[-1].r(obs), again[-1][3].r(obs))
     assert torch.equal(sac[-1].actor(obs)[0], again[-1][2].actor(obs)[0])
-    assert run[0][1] != next(short_run(demos, seed=1))[1]
+    assert run[0][0] != next(short_run(demos, seed=1))[0]
 
 
 # What the comparison needs of `core` is in these four functions.
@@ -286,10 +289,10 @@ def test_it_crosses_the_maze():
     expert = demonstrations.load(task, trajectories=50)
     last = []
     for seed in range(5):
-        run = plain.train(gymnasium.make(task), plain.Batch(*expert.transitions), generator(seed))
-        *_, (steps, final, *_) = run
+        env, demos = gymnasium.make(task), plain.Batch(*expert.transitions)
+        *_, (steps, sac, _, scale) = plain.train(env, demos, generator(seed), 60, 30)
         assert steps == 6_000
-        last.append(final)
+        last.append(plain.evaluate(env, plain.policy_of(sac.actor, scale)))
     assert sum(value > -13 for value in last) >= 4, last
 
 
@@ -354,14 +357,13 @@ def test_core_with_one_member_takes_the_same_steps():
 
     for step in range(50):
         expert, policy = random_batch(rng), random_batch(rng)
-        mix = torch.rand(B, 1, generator=rng)
-        noise = torch.randn(2, B, ACT, generator=rng)
+        same = rng.clone_state()
+        mix = torch.rand(B, 1, generator=same)
+        noise = torch.randn(2, B, ACT, generator=same)
         delayed = (step + 1) % ACTOR_DELAY == 0
         core_update(*core, expert, policy, mix, noise, delayed)
-        log_probs = [sac.actor.log_prob(side) for side in (expert, policy)]
-        loss = plain.airl_loss(discriminator.f, expert, policy, log_probs, mix)
-        plain.descend(loss, discriminator.optimizer)
-        sac.update(policy, discriminator.r(policy.obs).detach(), noise)
+        plain.update_discriminator(discriminator, sac.actor, expert, policy, rng)
+        plain.update_sac(sac, policy, discriminator.r(policy.obs), rng)
 
     for name, network in core_networks(*core).items():
         pairs = zip(linear(ours[name]), core_weights(*network), start[name], strict=True)

@@ -50,12 +50,18 @@ _ACTORS = {
     "4-released": {**_SIGMOID, "learner": "sac-released", "log_density": "exact"},
 }
 
-# The ways to begin, and those with primitives with the warm-up of scratch, too.
-_RETRAINING = base.retraining_variants({"warmup_steps": 100, "warmup_hold": 1.0}, 50) | {
-    f"{name}-helped": changes
-    for name, changes in base.retraining_variants({}, 50).items()
-    if changes.get("pretrained") == "primitives" and "start_steps" not in changes
-}
+# The ways to begin, those with primitives with the warm-up of scratch, too, and the gate alone with
+# a temperature that cannot run away.
+_UNHELPED = base.retraining_variants({"warmup_steps": 100, "warmup_hold": 1.0}, 50)
+_RETRAINING = (
+    _UNHELPED
+    | {
+        f"{name}-helped": changes
+        for name, changes in base.retraining_variants({}, 50).items()
+        if changes.get("pretrained") == "primitives" and "start_steps" not in changes
+    }
+    | {f"{k}-gate-cool": {**_UNHELPED[f"{k}-gate"], "temperature": 0.02} for k in (4, 8)}
+)
 
 # The first two rewards contain -log π, and SAC adds α of it: to count it once, either SAC has as
 # good as no temperature (cold), or it has all of it (soft). Or SAC has what it learns to need, and

@@ -7,9 +7,9 @@ Maximum Causal Entropy" (2010); the form of paths is that of Ziebart et al. (200
 from typing import Literal, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.optimize import minimize
 
 from offairl_lite.tabular.mdp import MDP
 from offairl_lite.tabular.paths import path_messages, path_occupancy
@@ -115,7 +115,9 @@ def maxent_irl(
 
     tolerance = {"ftol": 0, "gtol": 1e-9 * demonstrated.sum() / temperature}
     options = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, **tolerance}
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
+    found = scipy.optimize.minimize(
+        loss, start, jac=True, method="L-BFGS-B", callback=keep, options=options
+    )
     history, likelihood = (np.array(part) for part in zip(*steps, strict=True))
     mismatch = temperature * np.abs(found.jac - penalty * found.x).max()
     return Fit(reward_of(found.x), found.x, history, likelihood, mismatch)

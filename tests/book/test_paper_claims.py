@@ -32,12 +32,18 @@ def test_a_number_has_a_proper_minus_and_zero_none():
     assert [number(-12345.6), number(-0.04, 1), number(1 / 3, 2)] == ["−12,346", "0.0", "0.33"]
 
 
-def curves(to_go, steps=40, temperature=1.0):
-    """Something like a record: ten noisy curves that end near 10; each has so far to go."""
+def curves(to_go, steps=40, hot=()):
+    """Something like a record: ten noisy curves that end near 10; each has so far to go.
+
+    The temperature of seeds that are hot has run away.
+    """
     rng, left = np.random.default_rng(0), np.linspace(1, 0, 40)
     noise = rng.normal(scale=0.3, size=(10, 40))
     returns = 10 + noise - np.multiply.outer(to_go, left)
-    rows = [SimpleNamespace(seed=3, metrics={"temperature": temperature})]
+    rows = [
+        SimpleNamespace(seed=seed, metrics={"temperature": 1001 if seed in hot else 1000})
+        for seed in range(10)
+    ]
     taken = np.arange(1, 41) * steps // 40
     return SimpleNamespace(steps=taken, returns=returns, seeds=tuple(range(10)), rows=rows)
 
@@ -136,11 +142,21 @@ def test_what_mostly_fails_has_its_interval_below_one_half(told):
     assert told("mostly fails", ending(*range(9)))[0] == "the opposite"
 
 
-def test_a_temperature_that_ran_away_confounds(told):
-    assert told("mostly fails", ending(temperature=1001)) == ("as claimed", CONFOUNDED)
-    starts = ending(*range(10))
-    assert told("more arrive", starts, ending(1, temperature=1e9)) == ("as claimed", CONFOUNDED)
-    assert told("more arrive", starts, ending(1)) == ("as claimed", CONFIRMED)
+def test_a_temperature_that_ran_away_confounds_what_its_seeds_could_turn(told):
+    assert told("mostly fails", ending(hot=[3])) == ("as claimed", CONFIRMED)
+    assert told("mostly fails", ending(hot=range(5))) == ("as claimed", CONFOUNDED)
+    assert told("mostly fails", ending(*range(9), hot=[3])) == ("the opposite", CONFOUNDED)
+    assert told("mostly fails", ending(*range(9), hot=[9])) == ("the opposite", CONTRADICTED)
+    assert told("mostly fails", ending(1, 2, 3, 4, hot=[3])) == ("unclear", UNDECIDED)
+    assert told("varies", ending(*range(9), hot=[9])) == ("as claimed", CONFOUNDED)
+    assert told("varies", ending(*range(8), hot=[9])) == ("as claimed", CONFIRMED)
+    all_arrive, six = ending(*range(10)), ending(*range(6))
+    assert told("more arrive", six, ending()) == ("as claimed", CONFIRMED)
+    for seed in (3, 9):
+        assert told("more arrive", six, ending(hot=[seed])) == ("as claimed", CONFOUNDED)
+    assert told("more arrive", all_arrive, ending(hot=[3])) == ("as claimed", CONFIRMED)
+    better = ending(*range(6), hot=[3])
+    assert told("more arrive", better, ending()) == ("as claimed", CONFOUNDED)
 
 
 def test_runs_are_compared_at_the_last_step_that_both_have(told):

@@ -47,6 +47,10 @@ VARIED = {
     "locomotion-first-released-loss-demo/HalfCheetah-airl": {"loss"},
     "locomotion-first-wide-demo/HalfCheetah-airl": {"log_std_range"},
     "hopper-none-demo/Hopper-released-fixed-short": {"absorbing", "eval_every"},
+    **{
+        f"decides-1.2-demo/{robot}-exact-fixed-short": {"temperature"}
+        for robot in ("Hopper", "Walker2d", "HalfCheetah")
+    },
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
     "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
     "locomotion-first-centred-demo/HalfCheetah-airl": {"centre_reward"},
@@ -345,9 +349,10 @@ def test_the_search_for_typed_numbers_detects():
     assert literals("x = 8596; y[-1]; z = -26.5; figsize=(8.2, 3)") == {8596, -26.5}
 
 
-# Settings and definitions: the bar on the maze, the paper's temperature, the level of a p-value,
-# random steps of a warm-up, the temperature above which one has run away; thousands of steps.
-DEFINED_IN_PROSE = {"−14", "0.2", "0.05", "1,000", "10,000"}
+# Settings and definitions: the bar on the maze, the paper's temperature and one above it, the level
+# of a p-value, random steps of a warm-up, the temperature above which one has run away; thousands
+# of steps.
+DEFINED_IN_PROSE = {"−14", "0.2", "1.2", "0.05", "1,000", "10,000"}
 # After how many steps seeds are counted.
 COUNTED_AFTER = {"30,000", "40,000", "100,000"}
 DEFINED_IN_CODE = {-14, 1000}

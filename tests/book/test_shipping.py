@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+import shipping
 from offairl_lite import demonstrations
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import load
-from offairl_lite.runs import shipping
 
 MAZE = "offairl/PointMazeLeft-v0"
 
