@@ -4,6 +4,7 @@ Below them, what several modules' tests start from: tiny runs and random demonst
 """
 
 import json
+import resource
 import signal
 import time
 from pathlib import Path
@@ -49,27 +50,35 @@ def pytest_collection_modifyitems(items):
 
 
 def calibrate():
-    """Return the seconds that a fixed piece of work takes; it is like that of the chapters, many
+    """Return the processor seconds of a fixed piece of work; it is like that of the chapters, many
     small products and their gradients, but none of the package's."""
     x, weights = torch.randn((2, 5, 64, 64), generator=torch.Generator().manual_seed(0))
     weights.requires_grad_()
-    start = time.perf_counter()
+    start = time.process_time()
     for _ in range(2000):
         torch.autograd.grad((x @ weights).tanh().mean(), weights)
-    return time.perf_counter() - start
+    return time.process_time() - start
+
+
+def kernels():
+    """Return the processor seconds of all kernels that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Measure how fast the machine is before and after a chapter, for the chapter's budget.
+    """Measure the work of a chapter, and before and after it how fast the machine is.
 
-    It is kept in the executed notebook, where the chapter's own times are.
+    Both are processor seconds, since other work may wait for the same processor, and are kept in
+    the executed notebook, for the chapter's budget.
     """
     if item.path.suffix != ".ipynb" or not item.config.option.overwrite:
         return (yield)
-    before = calibrate()
+    before, earlier = calibrate(), kernels()
     result = yield
     content = json.loads(item.path.read_text("utf-8"))
+    content["metadata"]["processor_seconds"] = kernels() - earlier
     content["metadata"]["calibration"] = (before + calibrate()) / 2
     item.path.write_text(json.dumps(content, indent=1), "utf-8")
     return result
