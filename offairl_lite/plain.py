@@ -353,7 +353,7 @@ def train(
     scale = normaliser(join(episodes).obs, demos.obs)
     airl, sac = Discriminator(dims[0], rng), SAC(*dims, rng)
     for k in range(num_episodes):
-        if k >= warmup:  # All random episodes have been learned from.
+        if k >= warmup:  # Until then the learners catch up.
             episodes += [run_episode(env, policy_of(sac.actor, scale, rng))]
         replay = join(episodes)
         for _ in episodes[k].reward:
