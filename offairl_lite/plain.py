@@ -14,7 +14,7 @@ from torch import Generator, Tensor, nn
 from torch.nn.functional import softplus
 
 HIDDEN, BATCH_SIZE = (64, 64), 64
-adam = partial(torch.optim.Adam, lr=1e-3)
+adam = partial(torch.optim.Adam, lr=1e-3, fused=True)  # fused is faster
 
 # Shapes: `*B` is a batch of transitions, or nothing for a single one.
 Obs = Float[Tensor, "*B O"]
