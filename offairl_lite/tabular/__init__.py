@@ -10,10 +10,9 @@ weighted by the occupancy.
 """
 
 # ruff: noqa: F401, I001
-from offairl_lite.tabular.maxent import Fit, Form, log_likelihood, maxent_irl
+from offairl_lite.tabular.maxent import Fit, log_likelihood, maxent_irl
 from offairl_lite.tabular.mazes import MOVES, Maze, maze
 from offairl_lite.tabular.mdp import MDP
-from offairl_lite.tabular.paths import path_messages, path_occupancy
 from offairl_lite.tabular.planning import Solution, occupancy, policy_return, shaping
 from offairl_lite.tabular.planning import soft_evaluation, soft_value_iteration
 from offairl_lite.tabular.sampling import Trajectories, empirical_occupancy, sample

@@ -1,10 +1,9 @@
-"""Maximum entropy inverse reinforcement learning.
+"""Maximum causal entropy inverse reinforcement learning.
 
-The causal form is that of Ziebart, Bagnell and Dey, "Modeling Interaction via the Principle of
-Maximum Causal Entropy" (2010); the form of paths is that of Ziebart et al. (2008).
+Ziebart, Bagnell and Dey, "Modeling Interaction via the Principle of Maximum Causal Entropy" (2010).
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -12,39 +11,29 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from offairl_lite.tabular.mdp import MDP
-from offairl_lite.tabular.paths import path_messages, path_occupancy
 from offairl_lite.tabular.planning import occupancy, require_temperature, soft_value_iteration
-
-Form = Literal["causal", "paths"]
 
 
 def log_likelihood(
-    mdp: MDP,
-    reward: Array,
-    demonstrated: Float[Array, "S A"],
-    temperature: float = 1.0,
-    form: Form = "causal",
+    mdp: MDP, reward: Array, demonstrated: Float[Array, "S A"], temperature: float = 1.0
 ) -> tuple[float, Float[Array, "S A"]]:
     """Return the log-likelihood of demonstrations under a reward, and its gradient in r(s, a).
 
     L = (⟨ρ_E, r⟩ - E[V(s_0)])/α,  ∂L/∂r = (ρ_E - ρ)/α
 
-    with V and ρ of the soft optimum (`"causal"`) or of the distribution over paths (`"paths"`). L
-    is concave. In the causal form it is Σ_t γ^t log π(a_t | s_t) if ρ_E is the occupancy of some
-    policy. For counts of sampled demonstrations that holds only on average where the dynamics or
-    the first state are random, and L is then the dual of matching the counts. In the form of paths
-    a constant is left out, the logarithm of the demonstrated Π p(s' | s, a).
+    with V and ρ of the soft optimum. L is concave. It is Σ_t γ^t log π(a_t | s_t) if ρ_E is the
+    occupancy of some policy. For counts of sampled demonstrations that holds only on average where
+    the dynamics or the first state are random, and L is then the dual of matching the counts.
 
     Args:
-        mdp: the process; for `"paths"` with a horizon and discount 1.
+        mdp: the process.
         reward: r; if it is r(s), sum the gradient over the actions.
         demonstrated: ρ_E, from `planning.occupancy` or `sampling.empirical_occupancy`.
         temperature: α > 0.
-        form: `"causal"` or `"paths"`.
     """
     reward = mdp.expected_reward(reward)
     demonstrated = _checked(mdp, demonstrated, temperature)
-    return _likelihood(mdp, reward, demonstrated, temperature, form)[:2]
+    return _likelihood(mdp, reward, demonstrated, temperature)[:2]
 
 
 class Fit(NamedTuple):
@@ -67,7 +56,6 @@ def maxent_irl(
     demonstrated: Float[Array, "S A"],
     features,
     temperature: float = 1.0,
-    form: Form = "causal",
     penalty: float = 0.0,
     iterations: int = 500,
 ) -> Fit:
@@ -79,11 +67,10 @@ def maxent_irl(
     learns any r(s); one per pair, `eye_array(S * A)`, any r(s, a).
 
     Args:
-        mdp: the process, as in `log_likelihood`.
-        demonstrated: ρ_E, as there.
+        mdp: the process.
+        demonstrated: ρ_E, as in `log_likelihood`.
         features: dense or sparse, (S, K) for a reward of the state, (S·A, K) for one of the pair.
         temperature: α > 0, the unit of the reward; demonstrations determine only r/α.
-        form: `"causal"` or `"paths"`.
         penalty: λ ≥ 0.
         iterations: the largest number of steps.
     """
@@ -102,7 +89,7 @@ def maxent_irl(
     def loss(weights):
         nonlocal guess
         reward = mdp.expected_reward(reward_of(weights))
-        value, gradient, guess = _likelihood(mdp, reward, demonstrated, temperature, form, guess)
+        value, gradient, guess = _likelihood(mdp, reward, demonstrated, temperature, guess)
         gradient = features.T @ (gradient.sum(1) if of_state else gradient.ravel())
         return penalty / 2 * weights @ weights - value, penalty * weights - gradient
 
@@ -128,20 +115,13 @@ def _likelihood(
     reward: Float[Array, "S A"],
     demonstrated: Float[Array, "S A"],
     temperature: float,
-    form: Form,
     guess: Float[Array, "S"] | None = None,
 ) -> tuple[float, Float[Array, "S A"], Float[Array, "S"]]:
     """Return L, its gradient and V at the first step; planning starts at a guess of that V."""
-    if form == "paths":
-        solution = path_messages(mdp, reward, temperature)
-        visits = path_occupancy(mdp, solution, temperature)
-    elif form == "causal":
-        solution = soft_value_iteration(mdp, reward, temperature, guess)
-        visits = occupancy(mdp, solution.policy)
-    else:
-        raise ValueError(f"form must be 'causal' or 'paths', not {form!r}")
+    solution = soft_value_iteration(mdp, reward, temperature, guess)
     first = solution.value if mdp.horizon is None else solution.value[0]
     value = ((demonstrated * reward).sum() - mdp.initial @ first) / temperature
+    visits = occupancy(mdp, solution.policy)
     return float(value), (demonstrated - visits) / temperature, first
 
 

@@ -53,7 +53,7 @@ def soft_value_iteration(
     reward = mdp.expected_reward(reward)
     require_temperature(temperature)
     if mdp.horizon is not None:
-        return backward_induction(mdp, reward, temperature, mdp.expect)
+        return _backward_induction(mdp, reward, temperature)
     value = np.zeros(mdp.num_states) if guess is None else guess
     for _ in range(1000):
         q = reward + mdp.discount * mdp.expect(value)
@@ -65,14 +65,11 @@ def soft_value_iteration(
     raise ArithmeticError("soft value iteration has not converged in 1000 sweeps")
 
 
-def backward_induction(mdp: MDP, reward: Array, temperature: float, look_ahead) -> Solution:
-    """Solve Q = r + γ look_ahead(V) backwards from V_T = 0, where V is the soft maximum of Q.
-
-    `look_ahead` returns (S, A) for the next value (S,), as `MDP.expect` does.
-    """
+def _backward_induction(mdp: MDP, reward: Float[Array, "S A"], temperature: float) -> Solution:
+    """Solve the soft Bellman equations of a process with a horizon backwards, from V_T = 0."""
     steps, value = [], np.zeros(mdp.num_states)
     for _ in range(mdp.horizon or 0):
-        q = reward + mdp.discount * look_ahead(value)
+        q = reward + mdp.discount * mdp.expect(value)
         log_policy, value = _soft_maximum(q, temperature)
         steps.append((log_policy, value, q))
     return Solution(*(np.stack(part[::-1]) for part in zip(*steps, strict=True)))

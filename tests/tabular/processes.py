@@ -1,7 +1,5 @@
 """Random processes, and what brute force says of them."""
 
-import itertools
-
 import numpy as np
 
 from offairl_lite.tabular import MDP
@@ -30,14 +28,3 @@ def dense(mdp):
 def deterministic_mdp(horizon):
     goes_to = np.random.default_rng(7).integers(6, size=(6, 3))
     return MDP(np.eye(6)[goes_to], np.full(6, 1 / 6), 1.0, horizon)
-
-
-def paths_by_force(mdp, reward, temperature):
-    """Every path from every first state, with its weight exp(R/α) Π p, by enumeration."""
-    p, states = dense(mdp), range(mdp.num_states)
-    pairs = list(itertools.product(states, range(mdp.num_actions)))
-    for path in itertools.product(pairs, repeat=mdp.horizon):
-        for last in states:
-            following = [s for s, _ in path[1:]] + [last]
-            chance = np.prod([p[s, a, t] for (s, a), t in zip(path, following, strict=True)])
-            yield path, chance * np.exp(sum(reward[s, a] for s, a in path) / temperature)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from processes import paths_by_force, random_mdp, random_policy, random_reward
+from processes import random_mdp, random_policy, random_reward
 from scipy.sparse import eye_array
 
 from offairl_lite.tabular import (
@@ -14,31 +14,23 @@ from offairl_lite.tabular import (
     maxent_irl,
     maze,
     occupancy,
-    path_messages,
-    path_occupancy,
     policy_return,
     sample,
     soft_value_iteration,
 )
 
-PROCESSES = {
-    "no end": (random_mdp(), "causal"),
-    "horizon": (random_mdp(horizon=6), "causal"),
-    "paths": (random_mdp(discount=1, horizon=6), "paths"),
-}
+PROCESSES = {"no end": random_mdp(), "horizon": random_mdp(horizon=6)}
 
 
-@pytest.mark.parametrize(("mdp", "form"), PROCESSES.values(), ids=PROCESSES)
-def test_the_gradient_of_the_likelihood_is_a_difference_of_occupancies(mdp, form):
+@pytest.mark.parametrize("mdp", PROCESSES.values(), ids=PROCESSES)
+def test_the_gradient_of_the_likelihood_is_a_difference_of_occupancies(mdp):
     reward = random_reward(mdp)
     demonstrated = occupancy(mdp, random_policy(mdp))
-    _, gradient = log_likelihood(mdp, reward, demonstrated, 0.6, form)
+    _, gradient = log_likelihood(mdp, reward, demonstrated, 0.6)
     for s, a in np.ndindex(6, 3):
         step = np.zeros((6, 3))
         step[s, a] = 1e-5
-        up, down = (
-            log_likelihood(mdp, reward + d, demonstrated, 0.6, form)[0] for d in (step, -step)
-        )
+        up, down = (log_likelihood(mdp, reward + d, demonstrated, 0.6)[0] for d in (step, -step))
         assert (up - down) / 2e-5 == pytest.approx(gradient[s, a], abs=1e-6)
 
 
@@ -50,29 +42,15 @@ def test_the_causal_likelihood_is_that_of_the_actions():
     assert value == pytest.approx((demonstrated * log_policy).sum())
 
 
-def test_the_path_likelihood_is_that_of_the_paths():
-    mdp = random_mdp(states=3, actions=2, discount=1, horizon=4)
-    reward, demonstrated = random_reward(mdp), occupancy(mdp, random_policy(mdp))
-    value, _ = log_likelihood(mdp, reward, demonstrated, 0.7, "paths")
-    total = np.zeros(3)
-    for path, weight in paths_by_force(mdp, reward, 0.7):
-        total[path[0][0]] += weight
-    expected = (demonstrated * reward).sum() / 0.7 - mdp.initial @ np.log(total)
-    assert value == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(("mdp", "form"), PROCESSES.values(), ids=PROCESSES)
+@pytest.mark.parametrize("mdp", PROCESSES.values(), ids=PROCESSES)
 @pytest.mark.parametrize("of_state", [True, False])
-def test_features_of_sampled_demonstrations_are_matched(mdp, form, of_state):
+def test_features_of_sampled_demonstrations_are_matched(mdp, of_state):
     rng = np.random.default_rng(0)
     features = rng.normal(size=(6 if of_state else 18, 3))
     paths = sample(mdp, random_policy(mdp), 200, rng, mdp.horizon or 30)
     demonstrated = empirical_occupancy(mdp, paths)
-    fit = maxent_irl(mdp, demonstrated, features, 0.5, form)
-    if form == "paths":
-        visits = path_occupancy(mdp, path_messages(mdp, fit.reward, 0.5), 0.5)
-    else:
-        visits = occupancy(mdp, soft_value_iteration(mdp, fit.reward, 0.5).policy)
+    fit = maxent_irl(mdp, demonstrated, features, 0.5)
+    visits = occupancy(mdp, soft_value_iteration(mdp, fit.reward, 0.5).policy)
     difference = demonstrated - visits
     gap = features.T @ (difference.sum(1) if of_state else difference.ravel())
     np.testing.assert_allclose(gap, 0, atol=1e-6)
@@ -143,8 +121,6 @@ def refused():
     yield (mdp, demonstrated, eye_array(3)), {}, r"\(6, K\) or \(18, K\), not \(3, 3\)"
     yield (mdp, demonstrated, features, 0), {}, "temperature must be above 0 and finite, not 0"
     yield (mdp, demonstrated, features), {"penalty": -1}, "penalty must be at least 0, not -1"
-    yield (mdp, demonstrated, features), {"form": "path"}, "'causal' or 'paths', not 'path'"
-    yield (mdp, demonstrated, features), {"form": "paths"}, "needs a horizon and discount 1"
 
 
 @pytest.mark.parametrize(("arguments", "options", "message"), list(refused()))
