@@ -5,7 +5,7 @@ import json
 import logging
 import shutil
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -22,7 +22,7 @@ from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
 
 from offairl_lite import envs, minari_storage
-from offairl_lite.config.settings import Count, Natural, checked
+from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
 from offairl_lite.core.rollouts import (
@@ -75,44 +75,25 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def subsample(
-        self, trajectories: int | Sequence[int] | None = None, every: int = 1, seed: int = 0
-    ) -> "Demonstrations":
-        """Return some of the trajectories, and of each every k-th transition from a random one on.
+    def subsample(self, every: int) -> "Demonstrations":
+        """Return every k-th transition of each trajectory, from a random one of the first k on.
 
         Ho and Ermon (2016) thin demonstrations in this way, and DAC after them. A termination is
         always kept, as DAC keeps its absorbing transitions: it is the only sign of how an episode
         ends, and the absorbing state is made from it.
-
-        Args:
-            trajectories: so many, from the first on, or a list of indices; None takes all.
-            every: k. The first transition is drawn from a trajectory's first k.
-            seed: of these draws; a trajectory's draw does not depend on which others are taken.
         """
-        count = len(self) if trajectories is None else trajectories
-        if isinstance(count, Sequence | np.ndarray):
-            chosen = [*checked("trajectories", [*count], tuple[int, ...])]
-        else:
-            chosen = [*range(checked("trajectories", count, int))]
-        if not chosen or len({*chosen} & {*range(len(self))}) < len(chosen):
-            raise ValueError(
-                f"trajectories is {trajectories}; there are {len(self)}: give a number from 1 to "
-                f"{len(self)}, or a list of different ones from 0 to {len(self) - 1}"
-            )
         checked("every", every, Count)
-        checked("seed", seed, Natural)
-        ends = np.cumsum(self.lengths)
         kept = []
-        for i in chosen:
+        for i, (end, length) in enumerate(zip(np.cumsum(self.lengths), self.lengths, strict=True)):
             # A trajectory of fewer than k transitions keeps one of them.
-            offset = np.random.default_rng((seed, i)).integers(min(every, self.lengths[i]))
-            rows = np.arange(ends[i] - self.lengths[i] + offset, ends[i], every)
-            if rows[-1] < ends[i] - 1 and self.transitions.terminated[ends[i] - 1]:
-                rows = np.append(rows, ends[i] - 1)
+            offset = np.random.default_rng((0, i)).integers(min(every, length))
+            rows = np.arange(end - length + offset, end, every)
+            if rows[-1] < end - 1 and self.transitions.terminated[end - 1]:
+                rows = np.append(rows, end - 1)
             kept.append(rows)
         taken = torch.from_numpy(np.concatenate(kept))
         transitions = Batch(*(part[taken] for part in self.transitions))
-        returns = tuple(self.returns[chosen].tolist())
+        returns = tuple(self.returns.tolist())
         return Demonstrations(self.env_id, transitions, tuple(map(len, kept)), returns)
 
 
@@ -210,7 +191,7 @@ def load(
             # Minari would make the task, and so import whatever the file names.
             raise ValueError(f"data set {dataset_id}: expected both spaces among its metadata")
     data = Demonstrations(env_id, *minari_storage.read(dataset_id, env_id, trajectories))
-    return replace(data if subsample == 1 else data.subsample(every=subsample), source=source)
+    return replace(data if subsample == 1 else data.subsample(subsample), source=source)
 
 
 def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str:

@@ -434,7 +434,7 @@ def numbered(lengths, terminated):
 
 def test_every_kth_transition_is_kept_from_a_random_one_on():
     data = numbered([100] * 30, [False] * 30)
-    thin = data.subsample(every=20, seed=1)
+    thin = data.subsample(20)
     assert thin.lengths == (5,) * 30
     places = thin.transitions.reward.view(30, 5)
     steps = places - 100 * torch.arange(30)[:, None]
@@ -443,57 +443,35 @@ def test_every_kth_transition_is_kept_from_a_random_one_on():
     assert len(steps[:, 0].unique()) > 10  # an offset for each trajectory
     for part, whole in zip(thin.transitions, data.transitions, strict=True):
         assert torch.equal(part, whole[places.flatten().long()])
-    again, other = data.subsample(every=20, seed=1), data.subsample(every=20, seed=2)
-    assert torch.equal(again.transitions.reward, thin.transitions.reward)
-    assert not torch.equal(other.transitions.reward, thin.transitions.reward)
-
-
-def test_a_trajectory_is_thinned_the_same_whichever_others_are_taken():
-    data = numbered([50, 70, 90], [False] * 3)
-    thin = data.subsample(every=20)
-    *_, last = thin.transitions.reward.split(thin.lengths)
-    assert torch.equal(data.subsample([2], 20).transitions.reward, last)
-    first, second, _ = data.transitions.reward.split(data.lengths)
-    assert torch.equal(data.subsample(2).transitions.reward, torch.cat([first, second]))
-    swapped = data.subsample([1, 0])
-    assert torch.equal(swapped.transitions.reward, torch.cat([second, first]))
-    assert swapped.lengths == (70, 50)
+    assert torch.equal(data.subsample(20).transitions.reward, thin.transitions.reward)
 
 
 def test_thinned_demonstrations_have_the_returns_of_the_whole_trajectories():
     data = numbered([50, 70, 90], [False, True, False])
-    assert np.array_equal(data.subsample(every=20).returns, data.returns)
-    assert np.array_equal(data.subsample([2, 0], 7).returns, data.returns[[2, 0]])
-    assert np.array_equal(data.subsample(2, 7).subsample([1], 3).returns, data.returns[[1]])
+    assert np.array_equal(data.subsample(20).returns, data.returns)
+    assert np.array_equal(data.subsample(7).subsample(3).returns, data.returns)
 
 
 def test_terminations_are_never_thinned_out():
     """As many absorbing states as there were; a time limit's last step is like any other."""
     lengths, ends = [7, 33, 100, 101, 3], [True, True, True, False, False]
     data = numbered(lengths, ends)
-    thin = data.subsample(every=20)
+    thin = data.subsample(20)
     assert thin.transitions.terminated.sum() == 3
     parts = thin.transitions.reward.split(thin.lengths)
     last = [part[-1].item() for part in parts]
     assert last[:3] == (np.cumsum(lengths)[:3] - 1).tolist()
     assert all(len(part.unique()) == len(part) > 0 for part in parts)  # none twice, none lost
     assert len(absorbing.loops(absorbing.rewrite(thin.transitions)).obs) == 3
-    every = data.subsample()
+    every = data.subsample(1)
     assert every.lengths == data.lengths
     assert all(map(torch.equal, every.transitions, data.transitions))
-
-
-@pytest.mark.parametrize("trajectories", [0, -1, 4, [], [3], [-1], [0, 0]])
-def test_trajectories_that_are_not_there_cannot_be_taken(trajectories):
-    data = numbered([5] * 3, [False] * 3)
-    with pytest.raises(ValueError, match=r"trajectories is .*; there are 3: .* from 1 to 3"):
-        data.subsample(trajectories)
 
 
 @pytest.mark.parametrize("every", [0, -20])
 def test_less_than_every_transition_cannot_be_taken(every):
     with pytest.raises(ValueError, match=f"every is {every}; expected a whole number of"):
-        numbered([5], [True]).subsample(every=every)
+        numbered([5], [True]).subsample(every)
     with pytest.raises(ValueError, match=f"subsample is {every}; expected a whole"):
         load("Pendulum-v1", 2, "my/pendulum-v0", subsample=every)
 
@@ -502,7 +480,7 @@ def test_demonstrations_are_thinned_on_load(write_dataset):
     write_dataset("my/pendulum-v0")
     thin, whole = (load("Pendulum-v1", 2, "my/pendulum-v0", every) for every in (20, 1))
     assert thin.lengths == (10, 10)
-    wanted = whole.subsample(every=20)
+    wanted = whole.subsample(20)
     assert all(map(torch.equal, thin.transitions, wanted.transitions))
     np.testing.assert_array_equal(thin.returns, whole.returns)
 
@@ -519,12 +497,16 @@ def test_the_shipped_experts_of_the_maze_are_experts(side):
 
 @pytest.mark.parametrize("path", sorted(demonstrations.EXPERTS.glob("*.safetensors")))
 def test_shipped_experts_return_what_is_noted_of_them(path):
-    """Within 5 %, or 0.5 on the maze: another machine's rounding grows over an episode."""
+    """Within 5 %, or 0.5 on the maze, or four standard errors where only some episodes fall.
+
+    Another machine's rounding grows over an episode.
+    """
     policy = Policy.load(path)
     wanted = np.array(json.loads(path.with_suffix(".json").read_text())["returns"])
     assert wanted.shape == (len(policy),)
-    returns = rollout(policy, policy.env_id, range(len(policy)), 10).returns.mean(1)
-    np.testing.assert_allclose(returns, wanted, rtol=0.05, atol=0.5)
+    returns = rollout(policy, policy.env_id, range(len(policy)), 10).returns
+    off, error = np.abs(returns.mean(1) - wanted), returns.std(1, ddof=1) / np.sqrt(10)
+    assert (off <= np.maximum(0.05 * np.abs(wanted) + 0.5, 4 * error)).all()
 
 
 def test_all_shipped_experts_together_are_small():

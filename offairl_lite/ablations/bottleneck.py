@@ -48,25 +48,16 @@ def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
     return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
 
 
-@dataclass(frozen=True)
 class Code:
     """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²), of dimension `size`.
 
     At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
     """
 
-    net: StackedMLP
-    size: int
-
-    @property
-    def encoder(self) -> StackedMLP:
-        """From x to μ and log σ."""
-        return StackedMLP((*self.net.sizes[:-1], 2 * self.size), self.net.activation)
-
-    @property
-    def head(self) -> StackedMLP:
-        """From z to the scalar."""
-        return StackedMLP((self.size, 1))
+    def __init__(self, net: StackedMLP, size: int) -> None:
+        self.net, self.size = net, size
+        self.encoder = StackedMLP((*net.sizes[:-1], 2 * size), net.activation)  # x to μ, log σ
+        self.head = StackedMLP((size, 1))  # z to the scalar
 
     def init(self, rng: Rng) -> Params:
         """Draw the weights of encoder and head."""

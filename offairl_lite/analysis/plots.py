@@ -4,8 +4,7 @@ The colours are those of Okabe and Ito (2008).
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -42,11 +41,8 @@ STYLE: Any = {
 }
 
 
-@contextmanager
-def style() -> Iterator[None]:
-    """Use the book's style for the figures made in this context."""
-    with plt.rc_context(STYLE):
-        yield
+style = partial(plt.rc_context, STYLE)
+"""A context whose figures have the book's style."""
 
 
 def curve(

@@ -232,10 +232,7 @@ class Discriminator:
     def update(self, *minibatch: Any) -> Metrics:
         """Take one step down the loss of a minibatch, which `judge` describes."""
         loss, metrics = self.loss(self.judge(*minibatch))
-        if self.is_airl:
-            descend(loss, self.reward_optimizer, self.value_optimizer)
-        else:
-            descend(loss, self.reward_optimizer)
+        descend(loss, self.reward_optimizer, *[self.value_optimizer] * self.is_airl)
         return metrics
 
     @torch.no_grad()

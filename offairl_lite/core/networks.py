@@ -141,18 +141,11 @@ def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     return torch.baddbmm(bias, x, weight)
 
 
-@dataclass(frozen=True)
 class TwinCritic:
     """Two Q-networks with the same hidden layers, which are `2S` entries of one stack."""
 
-    obs_dim: int
-    action_dim: int
-    hidden: tuple[int, ...]
-
-    @property
-    def net(self) -> StackedMLP:
-        """The network, with one output."""
-        return StackedMLP((self.obs_dim + self.action_dim, *self.hidden, 1))
+    def __init__(self, obs_dim: int, action_dim: int, hidden: tuple[int, ...]) -> None:
+        self.net = StackedMLP((obs_dim + action_dim, *hidden, 1))
 
     def init(self, rng: Rng) -> TwinParams:
         """Draw the weights of both critics of a population."""

@@ -7,6 +7,7 @@ members do not influence one another.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -67,6 +68,11 @@ class OffPolicy:
     `obs_dim` counts. `absorbing` is what follows a termination, as in `Schedule.absorbing`.
     """
 
+    value: Callable[[Obs, Action], Vector]
+    """Returns V(s) by the target critics, for standard normal noise; each learner's own."""
+    update_actor: Callable[[Obs, Action], None]
+    """Takes one step with the actor, for standard normal noise; each learner's own."""
+
     def __init__(
         self,
         config: SACConfig | TD3Config,
@@ -124,14 +130,6 @@ class OffPolicy:
     def still(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
         """Return actions and log π, with 0 for both in the absorbing state."""
         return decided if self.absorbing == "none" else hold_still(obs, *decided)
-
-    def value(self, obs: Obs, noise: Action) -> Vector:
-        """Return V(s) by the target critics."""
-        raise NotImplementedError
-
-    def update_actor(self, obs: Obs, noise: Action) -> None:
-        """Take one step with the actor."""
-        raise NotImplementedError
 
 
 class SAC(OffPolicy):

@@ -67,32 +67,14 @@ def walls(side: Side | None) -> np.ndarray:
     return np.array(lines)
 
 
-def point_maze(side: Side) -> mujoco.MjModel:
-    """Return the shifting maze: a particle, pushed in the plane, and a barrier before its target.
+def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
+    """Return a particle, pushed in the plane, in a box with a target.
 
-    `qpos` is the particle's displacement from `START`, `ctrl` the force along x and y in newtons,
-    each limited to [-1, 1]. The barrier is attached on a side.
+    A barrier, attached on a side, makes the shifting maze; with None for a side there is the marsh
+    instead, which stops nothing. `qpos` is the particle's displacement from `start`, (2,), `ctrl`
+    the force along x and y in newtons, each limited to [-1, 1].
     """
-    if side is None:
-        raise ValueError("side must be 'Left' or 'Right', not None")
-    return _particle_in_box(f"PointMaze{side}", walls(side), START).compile()
-
-
-def point_marsh(start: np.ndarray) -> mujoco.MjModel:
-    """Return the maze's particle and target with a marsh, which stops nothing, for a barrier.
-
-    `qpos` is the particle's displacement from `start`, (2,).
-    """
-    spec = _particle_in_box("PointMarsh", walls(None), start)
-    low, high = MARSH
-    place = {"pos": (*(low + high) / 2, -PARTICLE_RADIUS), "size": (*(high - low) / 2, 0.001)}
-    spec.worldbody.add_geom(type=mjtGeom.mjGEOM_BOX, rgba=_MARSH, **place, **_UNTOUCHED)
-    return spec.compile()
-
-
-def _particle_in_box(name: str, lines: np.ndarray, start: np.ndarray) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
-    spec.modelname = name
     spec.option.timestep = 0.01
     spec.option.gravity = (0, 0, 0)
     spec.option.integrator = mjtIntegrator.mjINT_EULER
@@ -101,23 +83,27 @@ def _particle_in_box(name: str, lines: np.ndarray, start: np.ndarray) -> mujoco.
     geom.contype, geom.conaffinity = 2, 1
     spec.default.joint.damping[0] = 1
 
-    particle = spec.worldbody.add_body(name="particle", pos=(*start, 0))
+    body = spec.worldbody.add_body(name="particle", pos=(*start, 0))
     solid = {"contype": 1, "density": 1000, "rgba": _PARTICLE}
-    particle.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(PARTICLE_RADIUS, 0, 0), **solid)
+    body.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(PARTICLE_RADIUS, 0, 0), **solid)
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
-        particle.add_joint(name=name, type=mjtJoint.mjJNT_SLIDE, axis=axis)
+        body.add_joint(name=name, type=mjtJoint.mjJNT_SLIDE, axis=axis)
         _add_motor(spec, name, gear=1)
 
     target = spec.worldbody.add_body(name="target", pos=(*GOAL, 0))
     target.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), rgba=_TARGET, **_UNTOUCHED)
-    for index, (end, other) in enumerate(lines):
+    for index, (end, other) in enumerate(walls(side)):
         colour = _BARRIER if index == 4 else _BORDER
         _add_capsule(spec.worldbody, (*end, 0.01), (*other, 0.01), WALL_RADIUS, colour)
     # The ground is only drawn: gravity is off and nothing touches it. It is a body of its own
     # because MuJoCo's rays miss a plane beyond the bounds of the body's other shapes.
     ground = spec.worldbody.add_body(name="ground", pos=(0, 0, -PARTICLE_RADIUS))
     ground.add_geom(type=mjtGeom.mjGEOM_PLANE, size=(40, 40, 0.1), rgba=_GROUND, **_UNTOUCHED)
-    return spec
+    if side is None:
+        low, high = MARSH
+        place = {"pos": (*(low + high) / 2, -PARTICLE_RADIUS), "size": (*(high - low) / 2, 0.001)}
+        spec.worldbody.add_geom(type=mjtGeom.mjGEOM_BOX, rgba=_MARSH, **place, **_UNTOUCHED)
+    return spec.compile()
 
 
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
@@ -129,7 +115,6 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     if sorted(actuator_legs) != sorted(_LEGS):
         raise ValueError(f"actuator_legs must order the legs 1, 2, 3, 4, not {actuator_legs}")
     spec = mujoco.MjSpec()
-    spec.modelname = "DisabledAnt" if disabled else "CustomAnt"
     spec.option.timestep = 0.01
     spec.option.integrator = mjtIntegrator.mjINT_RK4
     joint, geom = spec.default.joint, spec.default.geom

@@ -136,7 +136,9 @@ def _gymnasium_model(file: str) -> mujoco.MjModel:
         mujoco.set_mju_user_warning(handler)
 
 
-def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, marsh_cost: float) -> Task:
+def _point(start: np.ndarray, side: models.Side | None = None) -> Task:
+    marsh_cost = MARSH_COST if side is None else 0.0
+
     def observe(physics):
         height = np.zeros((len(physics.qpos), 1))
         return np.concatenate([start + physics.qpos, height], axis=1)
@@ -147,15 +149,8 @@ def _point(model: Callable[[], mujoco.MjModel], start: np.ndarray, marsh_cost: f
         return -distance - 0.001 * _effort(actions) - marsh_cost * in_marsh(position)
 
     camera = Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False)
+    model = partial(models.particle, start, side)
     return Task(model, camera, _maze_noise, observe, reward, max_episode_steps=100)
-
-
-def _maze(side: models.Side) -> Task:
-    return _point(partial(models.point_maze, side), models.START, 0.0)
-
-
-def _marsh(start: np.ndarray) -> Task:
-    return _point(partial(models.point_marsh, start), start, MARSH_COST)
 
 
 def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated=_never) -> Task:
@@ -200,14 +195,14 @@ def _half_cheetah() -> Task:
 
 
 TASKS: dict[str, Task] = {
-    "offairl/PointMazeLeft-v0": _maze("Left"),
-    "offairl/PointMazeRight-v0": _maze("Right"),
+    "offairl/PointMazeLeft-v0": _point(models.START, "Left"),
+    "offairl/PointMazeRight-v0": _point(models.START, "Right"),
     "offairl/CustomAnt-v0": _custom_ant(disabled=False, actuator_legs=(4, 1, 2, 3)),
     "offairl/DisabledAnt-v0": _custom_ant(disabled=True, actuator_legs=(4, 1, 2, 3)),
     # As released: an actor trained on CustomAnt drives the wrong joints here.
     "offairl/DisabledAntReleased-v0": _custom_ant(disabled=True, actuator_legs=(1, 2, 3, 4)),
-    "offairl/PointMarsh-v0": _marsh(models.START),
-    "offairl/PointMarshWest-v0": _marsh(models.WEST),
+    "offairl/PointMarsh-v0": _point(models.START),
+    "offairl/PointMarshWest-v0": _point(models.WEST),
     "HalfCheetah-v5": _half_cheetah(),
     "Hopper-v5": _biped("hopper.xml", _hopper_healthy),
     "Walker2d-v5": _biped("walker2d_v5.xml", _walker_healthy),

@@ -8,7 +8,6 @@ from offairl_lite.experiments import base
 from offairl_lite.experiments.base import Changes, Experiment, crossed, experiment
 
 MARSH, WEST = "offairl/PointMarsh-v0", "offairl/PointMarshWest-v0"
-_WEST = {"env_id": WEST}
 
 # What the maze needs and the paper does not state. Warm-up actions are held for ten steps on
 # average: a particle that draws a fresh push every step hardly ever gets round the barrier. The

@@ -31,7 +31,7 @@ def masses(model):
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_maze_physics(side):
-    model = models.point_maze(side)
+    model = models.particle(models.START, side)
     assert model.opt.timestep == 0.01
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
     np.testing.assert_array_equal(model.opt.gravity, 0)
@@ -49,7 +49,7 @@ def test_maze_physics(side):
 
 
 def test_maze_touches_only_particle_and_walls():
-    model = models.point_maze("Left")
+    model = models.particle(models.START, "Left")
     particle = model.body("particle").geomadr[0]
 
     def collide(a, b):
@@ -68,7 +68,7 @@ def test_maze_touches_only_particle_and_walls():
 
 
 def test_the_marsh_is_the_maze_without_barrier_and_stops_nobody():
-    model, maze = models.point_marsh(models.WEST), models.point_maze("Left")
+    model, maze = models.particle(models.WEST, None), models.particle(models.START, "Left")
     np.testing.assert_allclose(model.body("particle").pos, [0.05, 0, 0])
     np.testing.assert_array_equal(model.body("target").pos, maze.body("target").pos)
     np.testing.assert_array_equal(model.body_mass, maze.body_mass)
@@ -83,7 +83,7 @@ def test_the_marsh_is_the_maze_without_barrier_and_stops_nobody():
 
 @pytest.mark.parametrize(("side", "gap"), [("Left", (0.4, 0.6)), ("Right", (-0.1, 0.2))])
 def test_walls_are_where_walls_says(side, gap):
-    model = models.point_maze(side)
+    model = models.particle(models.START, side)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     capsules = model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -104,10 +104,8 @@ def test_walls_are_where_walls_says(side, gap):
 
 
 def test_unknown_side_and_actuator_order_are_errors():
-    with pytest.raises(ValueError, match="'Left' or 'Right', not None"):
-        models.point_maze(None)
     with pytest.raises(ValueError, match="'Left' or 'Right'"):
-        models.point_maze("Up")
+        models.particle(models.START, "Up")
     with pytest.raises(ValueError, match="order the legs"):
         models.ant(False, (1, 2, 3))
 
