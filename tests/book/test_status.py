@@ -54,9 +54,10 @@ def test_the_minutes_of_a_chapter_are_on_the_front_page(chapter):
 
 @pytest.mark.parametrize("page", PATHS)
 def test_page_keeps_its_budget(book, page):
-    """As a ratio to work that is timed before and after it; a quarter more may be noise.
+    """In seconds, or where the machine is slow, as a ratio to work timed before and after it.
 
-    A kernel starts, and imports PyTorch, in no less than a second.
+    A quarter more of the ratio may be noise. Not all machines that are fast at this work are as
+    fast at a chapter. A kernel starts, and imports PyTorch, in no less than a second.
     """
     if book.name != "demo":
         pytest.skip("chapters have no time limit at full scale")
@@ -64,8 +65,9 @@ def test_page_keeps_its_budget(book, page):
     metadata = json.loads(path.read_text("utf-8"))["metadata"]
     assert "calibration" in metadata, "run `make test`, which measures it around each chapter"
     assert metadata["processor_seconds"] > 1
-    took = metadata["processor_seconds"] / metadata["calibration"]
-    assert took <= 1.25 * 60 * PATHS[page] / BUDGET["calibration"]
+    promised = 60 * PATHS[page]
+    slower = metadata["calibration"] / BUDGET["calibration"]
+    assert metadata["processor_seconds"] <= max(promised, 1.25 * promised * slower)
 
 
 def test_an_unexecuted_chapter_has_no_times(tmp_path):
