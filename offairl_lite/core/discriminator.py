@@ -232,7 +232,8 @@ class Discriminator:
     def update(self, *minibatch: Any) -> Metrics:
         """Take one step down the loss of a minibatch, which `judge` describes."""
         loss, metrics = self.loss(self.judge(*minibatch))
-        descend(loss, self.reward_optimizer, *[self.value_optimizer] * self.is_airl)
+        value = [self.value_optimizer] if self.is_airl else []
+        descend(loss, self.reward_optimizer, *value)
         return metrics
 
     @torch.no_grad()

@@ -29,7 +29,6 @@ MAZE_DEMO = MAZE_FULL.change(
     eval_every=1_000,
 )
 
-
 _maze = partial(experiment, {"demo": MAZE_DEMO, "full": MAZE_FULL})
 
 _OF_STATE = base.REWARDS["implementation-2"]
