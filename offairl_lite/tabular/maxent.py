@@ -10,8 +10,9 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from offairl_lite.config.settings import NonNegative, Positive, checked
 from offairl_lite.tabular.mdp import MDP
-from offairl_lite.tabular.planning import occupancy, require_temperature, soft_value_iteration
+from offairl_lite.tabular.planning import occupancy, soft_value_iteration
 
 
 def log_likelihood(
@@ -77,8 +78,7 @@ def maxent_irl(
     s, a = mdp.num_states, mdp.num_actions
     if features.ndim != 2 or features.shape[0] not in (s, s * a):
         raise ValueError(f"features must be ({s}, K) or ({s * a}, K), not {features.shape}")
-    if not penalty >= 0:
-        raise ValueError(f"penalty must be at least 0, not {penalty}")
+    checked("penalty", penalty, NonNegative)
     demonstrated = _checked(mdp, demonstrated, temperature)
     of_state = features.shape[0] == s
     guess = np.zeros(s)
@@ -127,7 +127,7 @@ def _likelihood(
 
 def _checked(mdp: MDP, demonstrated: Array, temperature: float) -> Float[Array, "S A"]:
     """Return the demonstrated visits if some policy of the process can have made them."""
-    require_temperature(temperature, positive=True)
+    checked("temperature", temperature, Positive)
     demonstrated = np.asarray(demonstrated, dtype=float)
     shape = (mdp.num_states, mdp.num_actions)
     if demonstrated.shape != shape:

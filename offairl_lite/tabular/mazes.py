@@ -1,12 +1,13 @@
 """The shifting maze as a grid."""
 
-from typing import NamedTuple, get_args
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csr_array
 
+from offairl_lite.config.settings import Fraction, checked
 from offairl_lite.envs.models import GOAL, START, Side, walls
 from offairl_lite.tabular.mdp import MDP
 
@@ -43,12 +44,9 @@ def maze(
         discount: γ.
         horizon: number of actions in an episode, or None.
     """
-    if cells < 3:
-        raise ValueError(f"the maze needs at least 3 cells a side, not {cells}")
-    if not 0 <= slip <= 1:
-        raise ValueError(f"slip is a probability, not {slip}")
-    if side not in get_args(Side):
-        raise ValueError(f"side must be 'Left' or 'Right', not {side!r}")
+    checked("cells", cells, Annotated[int, "of at least 3", lambda n: n >= 3])
+    checked("slip", slip, Fraction)
+    checked("side", side, Side)
     segments = walls(side)
     low, high = segments[:4].min(), segments[:4].max()
     centres = low + (high - low) * (np.arange(cells) + 0.5) / cells

@@ -7,6 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csr_array, issparse
 
+from offairl_lite.config.settings import Count, Fraction, checked
+
 
 @dataclass(frozen=True, eq=False)
 class MDP:
@@ -45,13 +47,8 @@ class MDP:
                 f"initial must be at least 0 and sum to 1; its least value is {initial.min():.6g} "
                 f"and its sum {initial.sum():.6g}"
             )
-        if self.horizon is not None and (self.horizon != int(self.horizon) or self.horizon < 1):
-            raise ValueError(
-                "horizon must be a whole number of steps, at least 1, or None for episodes "
-                f"without end, not {self.horizon}"
-            )
-        if not 0 <= self.discount <= 1:
-            raise ValueError(f"discount must be from 0 to 1, not {self.discount}")
+        checked("horizon", self.horizon, Count | None)
+        checked("discount", self.discount, Fraction)
         if self.horizon is None and self.discount == 1:
             raise ValueError(
                 "without a horizon the discount must be below 1, or returns are infinite; choose "

@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import spsolve
 from scipy.special import entr
 
+from offairl_lite.config.settings import NonNegative, checked
 from offairl_lite.tabular.mdp import MDP
 
 _ROUNDING = 1e-12
@@ -51,7 +52,7 @@ def soft_value_iteration(
         guess: V from which value iteration starts; by default 0. Not used with a horizon.
     """
     reward = mdp.expected_reward(reward)
-    require_temperature(temperature)
+    checked("temperature", temperature, NonNegative)
     if mdp.horizon is not None:
         return _backward_induction(mdp, reward, temperature)
     value = np.zeros(mdp.num_states) if guess is None else guess
@@ -86,7 +87,7 @@ def soft_evaluation(
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)
-    require_temperature(temperature)
+    checked("temperature", temperature, NonNegative)
     with np.errstate(divide="ignore"):
         log_policy = np.log(policy)
     gain = (policy * reward + temperature * entr(policy)).sum(-1)
@@ -145,10 +146,3 @@ def _flow_matrix(mdp: MDP, policy: Float[Array, "S A"]):
     rows = np.arange(mdp.num_states + 1) * mdp.num_actions
     mix = csr_array((policy.ravel(), np.arange(policy.size), rows))
     return (eye_array(mdp.num_states) - mdp.discount * (mix @ mdp.transition)).tocsc()
-
-
-def require_temperature(temperature: float, positive: bool = False) -> None:
-    """Raise ValueError unless α is finite and at least 0, or above 0 if it must be positive."""
-    if not 0 <= temperature < np.inf or (positive and temperature == 0):
-        least = "above" if positive else "at least"
-        raise ValueError(f"temperature must be {least} 0 and finite, not {temperature}")

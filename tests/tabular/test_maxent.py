@@ -119,8 +119,12 @@ def refused():
     yield (mdp, -demonstrated, features), {}, "demonstrated must hold visits"
     yield (mdp, 0.9 * demonstrated, features), {}, "adds up to 9, but every occupancy .* to 10; "
     yield (mdp, demonstrated, eye_array(3)), {}, r"\(6, K\) or \(18, K\), not \(3, 3\)"
-    yield (mdp, demonstrated, features, 0), {}, "temperature must be above 0 and finite, not 0"
-    yield (mdp, demonstrated, features), {"penalty": -1}, "penalty must be at least 0, not -1"
+    yield (mdp, demonstrated, features, 0), {}, "temperature is 0; expected a number above 0"
+    yield (
+        (mdp, demonstrated, features),
+        {"penalty": -1},
+        "penalty is -1; expected a number of at least 0",
+    )
 
 
 @pytest.mark.parametrize(("arguments", "options", "message"), list(refused()))

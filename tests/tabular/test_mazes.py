@@ -67,10 +67,10 @@ def test_slipping_replaces_the_action_by_any():
 
 
 def test_mazes_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="at least 3 cells a side, not 2"):
+    with pytest.raises(ValueError, match="cells is 2; expected a whole number of at least 3"):
         maze(2, "Left")
-    with pytest.raises(ValueError, match=r"slip is a probability, not 1\.5"):
+    with pytest.raises(ValueError, match=r"slip is 1\.5; expected a number in \[0, 1\]"):
         maze(10, "Left", slip=1.5)
     for side in ("Up", None):
-        with pytest.raises(ValueError, match=f"side must be 'Left' or 'Right', not {side!r}"):
+        with pytest.raises(ValueError, match=f"side is {side!r}; expected one of"):
             maze(10, side)
