@@ -33,7 +33,7 @@ print("returns:", transfer.returns[:, -1].round(1))
 with plots.style():
     fig, axes = plt.subplots(1, 3, figsize=(9, 3.3), sharey=True)
     plots.maze(axes[0], "Left")
-    plots.trajectories(axes[0], shown)
+    axes[0].plot(*shown[..., :2].T, color=plots.BLUE, alpha=0.7, lw=1)
     plots.reward_map(axes[1], reward, "Left", best)
     plots.reward_map(axes[2], reward, "Right", best)
     path = moved[0, :, :2].T

@@ -133,11 +133,3 @@ def arrows(
     in_metres: Any = {"angles": "xy", "scale_units": "xy", "scale": 1, "pivot": "mid"}
     look: Any = {"width": 0.004, "headwidth": 4, "color": color, "zorder": 1.5}
     return ax.quiver(*positions.T, *move.T, **in_metres, **look)
-
-
-def trajectories(
-    ax: Axes, obs: Float[np.ndarray, "N T O"], color: str = BLUE, label: str | None = None
-) -> None:
-    """Draw N paths of T observations over the maze, whose first two dimensions are x and y."""
-    for i, path in enumerate(np.asarray(obs)):
-        ax.plot(*path[:, :2].T, color=color, alpha=0.7, linewidth=1, label=None if i else label)

@@ -79,10 +79,8 @@ def spec(env_id: str) -> EnvSpec:
             why = f"{module} does not register it; did you mean {' or '.join(near)}?"
             raise ValueError(f"unknown environment {env_id!r}: {why}") from error
         raise ValueError(
-            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and every task that is "
-            "registered with Gymnasium: register your own with "
-            "gymnasium.register(id='MyTask-v0', entry_point='my_module:MyEnv'), and name the "
-            "module that registers it, --env-id my_module:MyTask-v0 (a file's is not imported)"
+            f"unknown environment {env_id!r}. Name the module that registers it if it is your own: "
+            f"--env-id my_module:{name}. Known are {', '.join(TASKS)}, and all of Gymnasium's"
         ) from error
 
 

@@ -28,13 +28,14 @@ From the run {folder}, trained on {env_id}.
 Arrays are float32, with any number of rows. Observations are as the task gives them. Actions are in
 its own units, from {low} to {high}.
 """
-HOW = """
+ONNX = """
 The {kind}, with ONNX Runtime:
 
     import numpy as np, onnxruntime
     session = onnxruntime.InferenceSession("{file}.onnx")
     ({gives},) = session.run(None, {{{arrays}}})
-
+"""
+TORCH = """
 The {kind}, with PyTorch:
 
     import torch
@@ -81,7 +82,9 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
     envs.spec(env_id := run.config.env_id)
     with closing(gymnasium.make(env_id)) as env:
         box, space = envs.require_boxes(env_id, env.observation_space, env.action_space)
+    how = ONNX + TORCH
     if find_spec("onnxscript") is None:
+        how = TORCH
         cure = "pip install -e '.[export]', in a clone, and give the command again"
         notes.append(f"ONNX is not installed, so there are programs of PyTorch alone: {cure}")
     ends = {row.seed: f"return {row.mean_return:.4g} at step {row.step:,}" for row in run.rows}
@@ -105,7 +108,7 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
         arrays = ", ".join(f'"{name}": np.zeros((1, {n}), np.float32)' for name, n in sizes.items())
         tensors = ", ".join(f"torch.zeros(1, {n})" for n in sizes.values())
         file = f"{kind}-{members[0]}"
-        text += HOW.format(kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors)
+        text += how.format(kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors)
     (out / "README.txt").write_text(text, "utf-8")
     return notes
 

@@ -121,7 +121,7 @@ def known(folder: Path, task: str | None = None, command: str = "resume") -> Run
     if task is not None:
         envs.spec(checked("env_id", task, Literal[env_id]))
     elif module and module not in sys.modules:
-        why = "no module is imported because a file names it; if you trust it"
+        why = "for safety, no module is imported because a file names it. Name it yourself"
         raise ValueError(f"{folder} is a run on {env_id}; {why}: {again(folder, spec, command)}")
     return spec
 

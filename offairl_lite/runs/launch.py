@@ -188,6 +188,10 @@ def _create(
         small = {"replay_size": config.schedule.update_every or 1}
         tried = config if config.reward == "gan-gcl" else config.change(**small)
         Trainer(tried, seeds, shown, **things, execution=execution).close()
+        ends = int(shown.transitions.terminated.sum()) if given.dataset and shown else 0
+        if ends and config.schedule.absorbing == "none":
+            note = f"note: {ends} of {len(shown or ())} demonstrations terminate; absorbing is none"
+            print(f'{note}: see "Two questions" in book/recipe.md', file=sys.stderr)
         for what, thing in things.items():
             one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
             if one != other and not find(experiment).reward_from:  # These experiments mean it.

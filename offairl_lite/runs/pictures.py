@@ -30,13 +30,15 @@ def _length(row: Row, before: Row) -> float:
 
 
 RETURN = "return, by the task's own reward"
+LEARNED = "return, by the frozen reward:\nit should rise"
 PANELS: dict[str, Callable[[Row, Row], float]] = {
     RETURN: lambda row, before: row.mean_return,
+    LEARNED: lambda row, before: row.learned_return,
     "logit gap, expert minus policy:\na few nats, it should shrink": _gap,
     "entropy of the verdict:\nit should rise": lambda row, before: row.metrics.get(
         "entropy", math.nan
     ),
-    "steps of an episode in training:\nas many as demonstrated": _length,
+    "steps of an episode in training:\nabout as many as demonstrated": _length,
 }
 """What is drawn, by its title: a number of an evaluation, which may need the one before."""
 
@@ -45,7 +47,8 @@ def draw(folder: Path) -> None:
     """Draw the evaluations of a run so far in its `curve.png`, which is always whole.
 
     A panel that would show nothing but 0 is left out, as is the return of a task without a reward,
-    and so is one of numbers that the run does not have.
+    and so is one of numbers that the run does not have. A learned reward that is not frozen changes
+    all the time, and so its return would say nothing.
     """
     run = records.read(folder)
     start = Row(0, 0, 0, math.nan, (), math.nan, {})
@@ -53,6 +56,7 @@ def draw(folder: Path) -> None:
     shown = {
         title: [[read(row, before) for before, row in pairwise(rows)] for rows in members]
         for title, read in PANELS.items()
+        if title != LEARNED or run.config.reward == "frozen"
     }
     shown = {k: y for k, y in shown.items() if np.nan_to_num(np.concatenate(y)).any()}
     if not shown:

@@ -105,10 +105,3 @@ def test_arrows_are_the_mean_moves(ax):
     np.testing.assert_allclose(moves[7], 0.9 * 0.14 * np.array([0.5, 0.5]))
     np.testing.assert_allclose(np.delete(moves, 7, 0), 0, atol=1e-15)
     np.testing.assert_allclose(quiver.get_offsets(), maze.positions)
-
-
-def test_trajectories_are_drawn_each_and_named_once(ax):
-    paths = np.random.default_rng(0).normal(size=(3, 4, 3))
-    plots.trajectories(ax, paths, label="expert")
-    np.testing.assert_array_equal([line.get_xydata() for line in ax.lines], paths[..., :2])
-    assert ax.get_legend_handles_labels()[1] == ["expert"]

@@ -428,6 +428,22 @@ def test_the_hours_are_those_of_the_records():
     assert 0.45 < min(ratios) < max(ratios) < 0.75
 
 
+def test_the_learned_return_tells_which_seeds_have_found_the_way():
+    """All populations of the maze's transfer with paper-size networks, and the ants."""
+    learned = {True: [], False: []}
+    for folder in (RECORDS / "maze-retraining-full").iterdir():
+        last = {row.seed: row for row in records.read(folder).rows}
+        for row in last.values():
+            learned[row.mean_return > -14].append(row.learned_return)
+    assert len(learned[True]) > 50
+    assert len(learned[False]) > 50
+    assert max(learned[False]) < -240 < -190 < min(learned[True])
+    ants = records.read(RECORDS / "decides-transfer-demo/state/scratch")
+    of = [[row.learned_return for row in ants.rows if row.seed == seed] for seed in ants.seeds]
+    assert sum(last > 0.7 * first for first, *_, last in of) == 4
+    assert ants.returns[:, -1].max() < 100
+
+
 def test_what_transfers():
     """The rest of what is said of the maze is asserted in chapter 9."""
     maze = records.read(RECORDS / "maze-retraining-full/scratch").returns[:, -1]

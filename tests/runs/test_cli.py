@@ -146,6 +146,19 @@ def test_demos_says_what_recordings_do_not_have_and_how_they_end(capsys, own, mi
     assert line.endswith("return 5.00 (from 5.00 to 5.00); 0 of them terminated")
 
 
+def test_a_run_says_if_demonstrations_terminate_and_nothing_follows(
+    capsys, own, minari_folder, elsewhere
+):
+    own("Arm-v0")
+    write([Recording(np.zeros((4, 2)), np.zeros((3, 2)), True)] * 2, "Arm-v0", "own/ends-v0")
+    line = f"run imitate --env-id Arm-v0 --dataset own/ends-v0 --trajectories 2 --prepare {LEARNED}"
+    said = 'note: 2 of 2 demonstrations terminate; absorbing is none: see "Two questions"'
+    offairl(f"{line} --out none")
+    assert said in capsys.readouterr().err
+    offairl(f"{line} --out loop --absorbing bootstrap")
+    assert "note" not in capsys.readouterr().err
+
+
 def test_a_run_on_thinned_demonstrations_says_so_and_is_resumed(shipped_experts, elsewhere, capsys):
     offairl(f"run maze-imitation --trajectories 2 --subsample 20 --experts 1 --out thin {LEARNED}")
     about = RunSpec.read(elsewhere / "thin").demonstrations
@@ -560,7 +573,10 @@ def test_no_file_s_module_is_imported_unless_the_user_names_it(command, arm_fold
     before = {path: path.read_bytes() for path in arm_folder.rglob("*") if path.is_file()}
     verb = command.partition(" one")[0]
     message = failure(command, capsys)
-    assert "one is a run on arm:Arm-v0; no module is imported because a file names it" in message
+    assert (
+        "one is a run on arm:Arm-v0; for safety, no module is imported because a file names it"
+        in message
+    )
     assert message.endswith(f"`offairl {verb} one --env-id arm:Arm-v0`")
     wrong = failure(f"{command} --env-id arm:Heavy-v0", capsys)
     assert "env_id is 'arm:Heavy-v0'; expected one of ('arm:Arm-v0',)" in wrong

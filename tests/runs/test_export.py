@@ -107,10 +107,8 @@ def test_the_text_beside_the_files_loads_them(finished, tmp_path, monkeypatch, c
     assert "from [-2.0, 0.0] to [4.0, 1.0]" in text
     assert re.search(r"Member 1: seed 3, return \S+ at step 40", text)
     blocks = re.findall(r"(?:    .+\n)+", text)
-    assert len(blocks) == 4
+    assert len(blocks) == 4 if (tmp_path / "out/policy-0.onnx").exists() else 2
     for block in blocks:
-        if "onnxruntime" in block and not (tmp_path / "out/policy-0.onnx").exists():
-            continue
         known = {}
         exec(re.sub("(?m)^    ", "", block), known)
         shape = (1, 2) if "policy" in block else (1,)
@@ -126,6 +124,7 @@ def test_without_onnx_programs_are_written_and_the_remedy_is_told(
     assert "pip install -e '.[export]'" in said
     names = {"README.txt", "policy-0.pt2", "reward-0.pt2"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert "InferenceSession" not in (tmp_path / "out/README.txt").read_text()
 
 
 def test_a_run_on_the_tasks_own_reward_has_none_to_export(finished, tmp_path, capsys):

@@ -64,6 +64,16 @@ def test_it_shows_what_the_recipe_says_to_look_at(tmp_path, panels, drawn):
     assert not (folder / "curve.png.part").exists()
 
 
+def test_a_frozen_reward_shows_the_return_by_it(tmp_path, panels, drawn):
+    run = copy("decides-transfer-demo/velocity/scratch", folder := tmp_path / "run")
+    drawn(folder)
+    (places,) = panels
+    assert list(places)[:2] == [pictures.RETURN, pictures.LEARNED]
+    learned = [line.get_ydata() for line in places[pictures.LEARNED].lines]
+    for seed, line in zip(run.seeds, learned, strict=True):
+        assert list(line) == [row.learned_return for row in run.rows if row.seed == seed]
+
+
 @pytest.mark.parametrize("seeds", [10, 11])
 def test_many_seeds_without_a_reward_of_the_task(seeds, tmp_path, panels, drawn):
     copy("maze-expert-left-demo", folder := tmp_path / "run")
