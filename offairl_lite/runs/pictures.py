@@ -47,8 +47,7 @@ def draw(folder: Path) -> None:
     """Draw the evaluations of a run so far in its `curve.png`, which is always whole.
 
     A panel that would show nothing but 0 is left out, as is the return of a task without a reward,
-    and so is one of numbers that the run does not have. A learned reward that is not frozen changes
-    all the time, and so its return would say nothing.
+    one of numbers that the run does not have, and the return by a reward that still changes.
     """
     run = records.read(folder)
     start = Row(0, 0, 0, math.nan, (), math.nan, {})
