@@ -51,6 +51,11 @@ VARIED = {
         f"decides-1.2-demo/{robot}-exact-fixed-short": {"temperature"}
         for robot in ("Hopper", "Walker2d", "HalfCheetah")
     },
+    **{
+        f"decides-steeper-demo/{robot}-released-one-short": {"gradient_penalty"}
+        for robot in ("Walker2d", "HalfCheetah")
+    },
+    "decides-penalty-1-demo/Walker2d-released-fixed-short": {"gradient_penalty"},
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
     "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
     "locomotion-first-centred-demo/HalfCheetah-airl": {"centre_reward"},
