@@ -63,7 +63,7 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\); .* in ascending"),
         ({"learner": "td3"}, "needs log π"),
         ({"reward": "gan-gcl"}, "use learner='ppo'"),
-        ({"learner": "ppo"}, "update_every is None; ppo learns from the last"),
+        ({"learner": "ppo"}, "update_every is None; learner ppo learns from the last"),
         (PPO | {"replay_size": 99}, r"update_every is 100; .* to replay_size \(99\) at most"),
         (PPO | {"temperature": None}, "temperature is None; expected a number above 0"),
         (PPO | {"absorbing": "bootstrap"}, "absorbing='bootstrap' is not for ppo"),

@@ -56,7 +56,7 @@ class Config:
         if start >= warmup:
             yield f"start_steps is {start}; expected fewer than the {warmup} warmup_steps"
         if ppo and not 1 <= (every or 0) <= size:
-            why = "ppo learns from the last so many steps"
+            why = "learner ppo learns from the last so many steps"
             yield f"update_every is {every}; {why}: set it, to replay_size ({size}) at most"
         if ppo and start:
             yield f"start_steps is {start}, and ppo learns from every step: set it to 0"

@@ -79,8 +79,9 @@ def spec(env_id: str) -> EnvSpec:
             why = f"{module} does not register it; did you mean {' or '.join(near)}?"
             raise ValueError(f"unknown environment {env_id!r}: {why}") from error
         raise ValueError(
-            f"unknown environment {env_id!r}. Name the module that registers it if it is your own: "
-            f"--env-id my_module:{name}. Known are {', '.join(TASKS)}, and all of Gymnasium's"
+            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and Gymnasium's. If it "
+            "is your own, name the module that calls gymnasium.register: "
+            f"--env-id my_module:{name or 'MyTask-v0'}"
         ) from error
 
 
