@@ -107,7 +107,7 @@ def test_the_text_beside_the_files_loads_them(finished, tmp_path, monkeypatch, c
     assert "from [-2.0, 0.0] to [4.0, 1.0]" in text
     assert re.search(r"Member 1: seed 3, return \S+ at step 40", text)
     blocks = re.findall(r"(?:    .+\n)+", text)
-    assert len(blocks) == 4 if (tmp_path / "out/policy-0.onnx").exists() else 2
+    assert len(blocks) == (4 if (tmp_path / "out/policy-0.onnx").exists() else 2)
     for block in blocks:
         known = {}
         exec(re.sub("(?m)^    ", "", block), known)
