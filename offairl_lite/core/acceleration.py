@@ -153,12 +153,14 @@ class CudaGraphed:
         """Make the update."""
         leaves = tree_leaves(args)
         key = tuple(x.shape if isinstance(x, Tensor) else x for x in leaves)
-        if key not in self.graphs:
-            self.graphs[key] = None
-            return self.step(*args)
-        captured = self.graphs[key]
+        captured = self.graphs.get(key)
         if captured is None:
+            # Parts of longer tensors come in. Copies lie in memory as the graph's own inputs do, so
+            # that a compiled step need not be compiled again, which capturing forbids.
             inputs = tree_map_only(Tensor, torch.clone, args)
+            if key not in self.graphs:
+                self.graphs[key] = None
+                return self.step(*inputs)
             graph = torch.cuda.CUDAGraph()
             with torch.cuda.graph(graph):
                 outputs = self.step(*inputs)

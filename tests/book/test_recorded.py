@@ -56,6 +56,12 @@ VARIED = {
         for robot in ("Walker2d", "HalfCheetah")
     },
     "decides-penalty-1-demo/Walker2d-released-fixed-short": {"gradient_penalty"},
+    # Eight minutes of a GPU.
+    **{
+        f"locomotion-ten-full/{robot}-{method}": {"eval_every", "eval_episodes"}
+        for robot in ("Hopper", "Walker2d")
+        for method in ("airl", "dac")
+    },
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
     "hopper-absorbing-centred-demo/implementation-4-analytic": {"centre_reward"},
     "locomotion-first-centred-demo/HalfCheetah-airl": {"centre_reward"},

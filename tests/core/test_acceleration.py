@@ -171,6 +171,20 @@ def test_a_graph_is_captured_once_for_each_flag_and_makes_no_update_twice():
     assert calls == [False, False, True]
 
 
+def test_before_it_is_captured_a_step_sees_tensors_as_its_graph_will():
+    """A compiled step is compiled again for another stride, and capturing forbids that."""
+    strides = []
+
+    def step(x):
+        strides.append(x.stride())
+        return {"sum": x.sum()}
+
+    part, _ = torch.arange(12.0).view(2, 6).split(3, 1)
+    assert part.stride() == (6, 1)
+    assert CudaGraphed(step)(part)["sum"] == part.sum()
+    assert strides == [part.clone().stride()] == [(3, 1)]
+
+
 def test_without_a_gpu_cuda_is_refused(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ValueError, match=r"'cuda', and PyTorch sees no GPU here: use cpu"):
