@@ -155,8 +155,7 @@ class CudaGraphed:
         key = tuple(x.shape if isinstance(x, Tensor) else x for x in leaves)
         captured = self.graphs.get(key)
         if captured is None:
-            # Parts of longer tensors come in. Copies lie in memory as the graph's own inputs do, so
-            # that a compiled step need not be compiled again, which capturing forbids.
+            # Strides as the graph's: a step that is captured cannot be compiled once more.
             inputs = tree_map_only(Tensor, torch.clone, args)
             if key not in self.graphs:
                 self.graphs[key] = None

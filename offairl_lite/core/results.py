@@ -51,8 +51,7 @@ class Run:
     def returns(self) -> np.ndarray:
         """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
         found = {(row.seed, row.step): row.mean_return for row in self.rows}
-        steps = self.steps.tolist()
-        return np.array([[found.get((seed, k), np.nan) for k in steps] for seed in self.seeds])
+        return np.array([[found.get((seed, k), np.nan) for k in self.steps] for seed in self.seeds])
 
     def to_frame(self) -> Any:
         """Return the learning curves as a pandas DataFrame, a row for each seed and evaluation.
