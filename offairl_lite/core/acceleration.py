@@ -155,7 +155,7 @@ class CudaGraphed:
         key = tuple(x.shape if isinstance(x, Tensor) else x for x in leaves)
         captured = self.graphs.get(key)
         if captured is None:
-            # Strides as the graph's: a step that is captured cannot be compiled once more.
+            # With the strides of the graph's inputs, so that capturing compiles nothing anew.
             inputs = tree_map_only(Tensor, torch.clone, args)
             if key not in self.graphs:
                 self.graphs[key] = None
