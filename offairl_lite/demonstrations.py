@@ -201,7 +201,7 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
     if experts is not None:
         there = Annotated[int, f"in [1, {len(policy)}]", lambda n: n <= len(policy)]
         policy = policy.member(*range(checked("experts", experts, there)))
-    digest = _digest(expert_file(env_id).read_bytes())[:8]
+    digest = hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest()[:8]
     some = "" if experts is None else f"-first-{experts}"
     dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}{some}-{trajectories}-v0"
 
@@ -341,8 +341,11 @@ def fingerprint(made: Episodes, env_id: str) -> dict[str, Any]:
     """
     members = zip(made.obs, made.action, made.next_obs, made.reward, made.running, strict=True)
     return {
-        "experts": _digest(expert_file(env_id).read_bytes()),
-        "demonstrations": [_digest(*(p[running] for p in parts)) for *parts, running in members],
+        "experts": hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest(),
+        "demonstrations": [
+            hashlib.sha256(b"".join(part[running].tobytes() for part in parts)).hexdigest()
+            for *parts, running in members
+        ],
         "mean_returns": [round(float(mean), 4) for mean in made.returns.mean(1)],
         "mujoco": version("mujoco"),
     }
@@ -367,9 +370,3 @@ def _compare(made: Episodes, env_id: str) -> None:
             f"{made.returns.size} is {mean:.4f} here, and was "
             f"{np.mean(noted['mean_returns'][:members]):.4f} there."
         )
-
-
-def _digest(*parts: bytes | np.ndarray) -> str:
-    """Return the SHA-256 of bytes or arrays, one after another."""
-    joined = b"".join(part if isinstance(part, bytes) else part.tobytes() for part in parts)
-    return hashlib.sha256(joined).hexdigest()

@@ -7,7 +7,7 @@ tables, grids and the command line; `Config.of` and `Config.change` take such fl
 optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is filled in from that code.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -23,6 +23,9 @@ from offairl_lite.config.groups import (
     TD3Config,
 )
 from offairl_lite.config.settings import Checked, checked, kinds
+
+GROUPS = {"schedule": Schedule, "learner": LearnerConfig, "discriminator": DiscriminatorConfig}
+"""Of each group of settings the type that all its types extend."""
 
 
 @dataclass(frozen=True)
@@ -121,16 +124,17 @@ class Config:
         Raises:
             ValueError: there is no such setting, or learner and reward have no use for it.
         """
-        chosen = {name: flat.get(name, default) for name, (_, default, _) in _choices().items()}
-        used = used_settings(**chosen)
-        for name in flat:
-            if name not in used:
-                raise ValueError(_why_unused(name, chosen))
-        given: dict[str, Any] = flat | chosen
+        given = {name: default for name, (_, default, _) in _choices().items()} | flat
+        used = used_settings(given)
+        for name in [name for name in flat if name not in used]:
+            if name not in (known := flat_settings()):
+                raise ValueError(f"no setting {name!r}; there are: {', '.join(known)}")
+            choice = [f"{k}={given[k]!r}" for k in ("learner", "reward", "ablation") if given[k]]
+            raise ValueError(f"{name} has no use with {', '.join(choice)}: leave it out")
         groups: dict[str, Any] = {
             "discriminator": Frozen() if given["reward"] == "frozen" else None
         }
-        for part, group in _types(**chosen).items():
+        for part, group in _types(given).items():
             own = group.settings.items()
             groups[part] = group(**{name: given[flat] for flat, (name, _) in own if flat in given})
         return cls(**groups)
@@ -144,8 +148,7 @@ class Config:
             ValueError: see `of`.
         """
         now = self.flat()
-        both = now | flat
-        kept = used_settings(both["learner"], both["reward"], both.get("ablation"))
+        kept = used_settings(now | flat)
         return Config.of(**{name: value for name, value in now.items() if name in kept} | flat)
 
 
@@ -171,46 +174,39 @@ def _choices() -> dict[str, tuple[Any, Any, str]]:
     }
 
 
-def _types(reward: str, learner: str, ablation: str | None) -> dict[str, type[Checked]]:
+def _types(flat: Mapping[str, Any]) -> dict[str, type[Checked]]:
     """Return the types of the groups that are chosen; without a reward to learn there are two."""
-    chosen = {"reward": reward, "learner": learner, "ablation": ablation}
     for name, (hint, *_) in _choices().items():
-        checked(name, chosen[name], hint)
+        checked(name, flat.get(name), hint)
     types: dict[str, type[Checked]] = {
         "schedule": Schedule,
-        "learner": kinds(LearnerConfig)[learner],
+        "learner": kinds(LearnerConfig)[flat["learner"]],
     }
-    if reward in get_args(LearnedReward):
-        types["discriminator"] = kinds(DiscriminatorConfig)[ablation or ""]
+    if flat["reward"] in get_args(LearnedReward):
+        types["discriminator"] = kinds(DiscriminatorConfig)[flat.get("ablation") or ""]
     return types
 
 
-def used_settings(learner: str, reward: str, ablation: str | None = None) -> set[str]:
-    """Return the flat names of the settings for which a learner and a reward have a use.
+def used_settings(flat: Mapping[str, Any]) -> set[str]:
+    """Return the flat names of the settings for which learner, reward and ablation have a use.
 
     Raises:
         ValueError: there is no such learner, reward or ablation.
     """
-    types = _types(reward, learner, ablation)
-    names = {"reward", "learner"}.union(*(group.settings for group in types.values()))
-    return names | {"ablation"} if "discriminator" in types or ablation is None else names
+    types, names = _types(flat), {"reward", "learner"}
+    if "discriminator" in types or flat.get("ablation") is None:
+        names.add("ablation")
+    return names.union(*(group.settings for group in types.values()))
 
 
 def flat_settings() -> dict[str, tuple[Any, Any, str]]:
     """Return type, default and group of every setting of any group, by its flat name."""
-    found, bases = _choices(), (Schedule, LearnerConfig, DiscriminatorConfig)
-    for base, group in zip(bases, ("schedule", "learner", "discriminator"), strict=True):
+    found = _choices()
+    for group, base in GROUPS.items():
         for kind in kinds(base).values():
             for flat, (name, hint) in kind.settings.items():
                 found.setdefault(flat, (hint, getattr(kind, name), group))
     return found
-
-
-def _why_unused(name: str, chosen: dict[str, str | None]) -> str:
-    if name not in (known := flat_settings()):
-        return f"no setting {name!r}; there are: {', '.join(known)}"
-    choice = [f"{key}={chosen[key]!r}" for key in ("learner", "reward", "ablation") if chosen[key]]
-    return f"{name} has no use with {', '.join(choice)}: leave it out"
 
 
 CORRECTED = Config()

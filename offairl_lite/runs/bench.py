@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from statistics import median
@@ -87,7 +88,6 @@ class Contestant:
 
     act: Callable[[], object]
     amount: float
-    flop: float = 0.0
     rates: list[float] = field(default_factory=list)
     cpu_s: list[float] = field(default_factory=list)
 
@@ -146,11 +146,10 @@ def our_updates(options: Options, hidden: tuple[int, ...], members: int) -> Cont
 
 
 class Products(TorchDispatchMode):
-    """Records the matrix products that are made under it, and what they cost: `flop`."""
+    """Records the matrix products that are made under it."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.flop = 0
         self.calls: list[tuple] = []
         self.operands: dict[tuple, tuple[list[Tensor], Tensor]] = {}
 
@@ -159,7 +158,6 @@ class Products(TorchDispatchMode):
         kwargs = kwargs or {}
         result, operation = func(*args, **kwargs), func.overloadpacket
         if operation in flop_registry:
-            self.flop += flop_registry[operation](*args, **kwargs, out_val=result)
             call = operation, *((x.shape, x.stride()) for x in args)
             self.calls.append(call)
             if call not in self.operands:
@@ -183,7 +181,7 @@ def our_products(options: Options, hidden: tuple[int, ...], members: int) -> Con
     again = trainer.execution.widen(products.again)  # tries oneDNN, which is not to be counted
     with products:
         next(trained_blocks(trainer))
-    return Contestant(again, CHUNK * members, products.flop)
+    return Contestant(again, CHUNK * members)
 
 
 def our_steps(options: Options, hidden: tuple[int, ...]) -> Contestant:
@@ -195,10 +193,7 @@ def our_steps(options: Options, hidden: tuple[int, ...]) -> Contestant:
 
 def other_steps(name: str, hidden: tuple[int, ...], batch_size: int) -> Contestant:
     """Return another library's loop, compiled and past its warm-up."""
-    if name == "sbx":
-        from sbx import SAC
-    else:
-        from stable_baselines3 import SAC
+    SAC = import_module(OTHERS[name][1]).SAC
     networks = {"policy_kwargs": {"net_arch": [*hidden]}, "batch_size": batch_size}
     model = SAC("MlpPolicy", TASK, train_freq=1, gradient_steps=1, device="cpu", **networks)
     learn = partial(model.learn, log_interval=None, reset_num_timesteps=False)

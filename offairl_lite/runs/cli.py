@@ -17,6 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from offairl_lite import demonstrations, envs
 from offairl_lite.analysis import films
+from offairl_lite.config import CORRECTED
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
@@ -89,11 +90,7 @@ def demos(
         policy: a run's folder, or a policy's file, to make the data set of: all members take
             turns, and actions are sampled.
     """
-    if dataset is not None and experts is not None:
-        raise ValueError(
-            f"--experts {experts} would not be used, since {dataset} is by none of the shipped "
-            "ones: leave it out"
-        )
+    launch.Given(dataset, experts=experts).require_use([CORRECTED], launch.Given())
     if trajectories is None:
         trajectories = local_datasets().get(dataset or "", {}).get("total_episodes", 50)
     if policy is not None:

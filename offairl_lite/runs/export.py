@@ -2,18 +2,16 @@
 
 import logging
 import warnings
-from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import torch
 from gymnasium.spaces import Box
 from jaxtyping import Float
 from torch import Tensor
 
-from offairl_lite import envs
+from offairl_lite import minari_storage
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
@@ -79,9 +77,8 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
     members, notes = _members(run, folder, member)
     if run.policy is run.reward is None:
         inputs.load_one(folder, Policy)  # It says what to do.
-    envs.spec(env_id := run.config.env_id)
-    with closing(gymnasium.make(env_id)) as env:
-        box, space = envs.require_boxes(env_id, env.observation_space, env.action_space)
+    env_id = run.config.env_id
+    _, box, space = minari_storage.closed_task(env_id)
     how = ONNX + TORCH
     if find_spec("onnxscript") is None:
         how = TORCH

@@ -8,14 +8,7 @@ from typing import Annotated, Any, TypedDict, get_type_hints
 from docstring_parser import parse_from_object
 from tyro.conf import OmitArgPrefixes, arg
 
-from offairl_lite.config import (
-    Config,
-    DiscriminatorConfig,
-    LearnerConfig,
-    Schedule,
-    flat_settings,
-    used_settings,
-)
+from offairl_lite.config import GROUPS, Config, flat_settings, used_settings
 from offairl_lite.config.settings import checked, kinds
 from offairl_lite.experiments import Experiment
 from offairl_lite.scale import Scale
@@ -40,7 +33,7 @@ def options(config: Config) -> dict[str, Any]:
     # Types without their ranges, which the configuration knows.
     annotations = {name: hint for name, (hint, _, _) in known.items()}
     plain = get_type_hints(type("Plain", (), {"__annotations__": annotations}))
-    fields: dict[str, dict[str, Any]] = {"schedule": {}, "learner": {}, "discriminator": {}}
+    fields: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     for name, (_, default, group) in known.items():
         value = flat.get(name, default)
         shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
@@ -57,7 +50,7 @@ def options(config: Config) -> dict[str, Any]:
 def docstrings() -> dict[str, str]:
     """Return what the settings are for, by their flat names."""
     texts = dict(HELP)
-    for base in (Schedule, LearnerConfig, DiscriminatorConfig):
+    for base in GROUPS.values():
         for kind in kinds(base).values():
             own = [parent for parent in kind.__mro__ if parent.__module__ != "builtins"]
             for field in (field for parent in own for field in parse_from_object(parent).params):
@@ -92,8 +85,7 @@ def points(
                 "last, or choose other runs with --only"
             )
         asked = {**changes, **chosen}
-        after = {**base.flat(), **asked}
-        used = used_settings(after["learner"], after["reward"], after.get("ablation"))
+        used = used_settings(base.flat() | asked)
         config = base.change(**{name: value for name, value in asked.items() if name in used})
         for name, point in grid(config, axes).items():
             found[",".join(filter(None, (variant, name)))] = point

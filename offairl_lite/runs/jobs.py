@@ -84,9 +84,10 @@ def execute(
     specs = [_from(folder / "config.json") for folder in folders]
     total = sum(spec["config"]["total_steps"] for spec in specs if spec)
     most = workers or (cores() if engine == "processes" else len(folders))
+    here = nullcontext(lambda folder, stop: _child(folder, command(folder), stop))
     with (
         tqdm(total=total, unit="step") as bar,
-        nullcontext(_here) if engine == "processes" else _on_ray(address, gpus) as attempt,
+        here if engine == "processes" else _on_ray(address, gpus) as attempt,
         terminable(),  # Ray has a handler of its own.
         ThreadPoolExecutor(min(most, len(folders))) as pool,
     ):
@@ -121,11 +122,6 @@ def terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _here(folder: Path, stop: threading.Event) -> str:
-    """Run a job as a child of this process."""
-    return _child(folder, command(folder), stop)
 
 
 def _child(folder: Path, command: list[str], stop: threading.Event) -> str:

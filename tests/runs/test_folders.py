@@ -282,7 +282,7 @@ def draw(tiny, rng, demonstrations):
     """A configuration that makes sense, at random; now and then one of those above."""
     while rng.random() > 0.1:
         flat = {name: some[rng.integers(len(some))] for name, some in CHOICES.items()} | SMALL
-        used = used_settings(flat["learner"], flat["reward"], flat["ablation"])
+        used = used_settings(flat)
         if flat["update_every"] is None and flat["env_id"] in (HOPPER, "Walker2d-v5"):
             continue  # Their episodes have no common end.
         try:
