@@ -55,7 +55,10 @@ VARIED = {
         f"decides-steeper-demo/{robot}-released-one-short": {"gradient_penalty"}
         for robot in ("Walker2d", "HalfCheetah")
     },
-    "decides-penalty-1-demo/Walker2d-released-fixed-short": {"gradient_penalty"},
+    **{
+        f"decides-penalty-1-demo/{robot}-released-fixed-short": {"gradient_penalty"}
+        for robot in ("Hopper", "Walker2d")
+    },
     # Eight minutes of a GPU.
     **{
         f"locomotion-ten-full/{robot}-{method}": {"eval_every", "eval_episodes"}
