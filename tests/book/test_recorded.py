@@ -128,7 +128,7 @@ VARIED = {
     **{
         folder: {"trunk_hidden", "primitive_hidden", "gate_hidden"}
         for folder in FOLDERS
-        if re.match(r"locomotion-(long-)?demo/(?!Ant-|.*-mcp-)", folder)
+        if re.match(r"locomotion-(long-)?demo/(?!Ant-|.*-mcp-|.*-td3)", folder)
     },
     # On-policy methods take longer.
     **{
