@@ -392,6 +392,11 @@ def test_the_percentages_are_those_of_the_records():
     assert f"{falls[0]} of Hopper's 50 demonstrations end in a fall" in text
     assert "and about half of Ant's" in text
     assert 20 <= falls[1] <= 30  # 21 or 28, as the processor rounds
+    walker = records.read(RECORDS / "locomotion-demo/Walker2d-airl")
+    worst = 100 * walker.returns.min(0) / demonstrated("Walker2d")
+    at, end = worst[walker.steps == 100_000][0], worst[-1]
+    said = f"at {at:.0f} % after 100,000 steps, and the worst at the end at {end:.0f} %"
+    assert said in text
     hopper = records.read(RECORDS / "locomotion-demo/Hopper-airl").returns
     second_half = hopper[:, hopper.shape[1] // 2 :]
     assert round(100 * (second_half < 0.75 * demonstrated("Hopper")).mean()) == 18
