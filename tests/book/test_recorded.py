@@ -57,12 +57,17 @@ VARIED = {
     },
     **{
         f"decides-penalty-1-demo/{robot}-released-fixed-short": {"gradient_penalty"}
-        for robot in ("Hopper", "Walker2d")
+        for robot in ("Hopper", "Walker2d", "HalfCheetah")
     },
-    # Eight minutes of a GPU.
+    # Minutes of a GPU.
     **{
-        f"locomotion-ten-full/{robot}-{method}": {"eval_every", "eval_episodes"}
-        for robot in ("Hopper", "Walker2d")
+        f"locomotion-{place}-{method}": {"eval_every", "eval_episodes"}
+        for place in (
+            "ten-full/Hopper",
+            "ten-full/HalfCheetah",
+            "ten-full/Walker2d",
+            "ten-again-full/Walker2d",
+        )
         for method in ("airl", "dac")
     },
     "hopper-absorbing-centred-demo/dac-analytic": {"centre_reward"},
