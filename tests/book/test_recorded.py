@@ -59,6 +59,18 @@ VARIED = {
         f"decides-penalty-1-demo/{robot}-released-fixed-short": {"gradient_penalty"}
         for robot in ("Hopper", "Walker2d", "HalfCheetah")
     },
+    **{
+        f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
+        for robot in ("Hopper", "Walker2d")
+    },
+    **{
+        f"decides-forget-demo/{run}": {"replay_size"}
+        for run in (
+            "Hopper-released-fixed-short",
+            "Hopper-released-fixed-long",
+            "Walker2d-released-fixed-long",
+        )
+    },
     # Minutes of a GPU.
     **{
         f"locomotion-{place}-{method}": {"eval_every", "eval_episodes"}
