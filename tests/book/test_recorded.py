@@ -71,6 +71,7 @@ VARIED = {
             "Walker2d-released-fixed-long",
         )
     },
+    "decides-both-demo/Walker2d-released-fixed-long": {"replay_size"},
     # Minutes of a GPU.
     **{
         f"locomotion-{place}-{method}": {"eval_every", "eval_episodes"}
