@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from offairl_lite.config import CORRECTED, differences, flat_settings
+from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, load_weights
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rng import Rng
@@ -237,6 +238,26 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
     with torch.no_grad():
         means, *_ = actor.parts(policy.params, names["below"].expand(2, -1, -1))
     assert torch.equal(furthest, torch.tanh(means)[..., 0].min(2).values)
+
+
+def test_the_script_of_what_decides_makes_no_updates_for_the_warm_up(monkeypatch):
+    cell = next(c for c in cells(ROOT / "book/notes", "what_decides") if "skip.py" in c.source)
+    (script,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
+    sizes = {"warmup_steps": 4, "update_every": 2, "total_steps": 8, "eval_every": 8}
+    task = {"env_id": "offairl/PointMazeLeft-v0", "reward": "environment", "absorbing": "none"}
+    config = CORRECTED.change(**sizes, **task, eval_episodes=1)
+    fitted = []
+    monkeypatch.setattr(Trainer, "fit", lambda trainer, steps: fitted.append(trainer.steps))
+    for _ in Trainer(config, (0,)).run():
+        pass
+    assert fitted == [4, 4, 6, 8]
+    fitted.clear()
+    monkeypatch.setattr(Trainer, "build", Trainer.build)
+    monkeypatch.setattr("offairl_lite.runs.cli.main", lambda: None)
+    exec(script, {})
+    for _ in Trainer(config, (0,)).run():
+        pass
+    assert fitted == [6, 8]
 
 
 def spec_of(folder):
