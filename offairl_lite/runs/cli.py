@@ -223,7 +223,7 @@ def verify(record: Positional[Path], *, evaluations: int = 1, env_id: str | None
 
 
 def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
-    """Measure how fast this machine trains, beside what is aimed at: five to ten minutes.
+    """Measure how fast this machine trains, in five to ten minutes.
 
     Args:
         options: what to measure.

@@ -152,7 +152,7 @@ ROWS = [
     ("bench --seconds nan", "seconds is nan", "positive"),
     ("bench --rounds 0", "rounds is 0", "positive"),
     ("bench --populations 0 1", "populations is (0, 1)", "positive"),
-    ("bench --against tf", "--against", "'tf'", "sb3"),
+    ("bench --populations", "populations is ()", "positive"),
     # Places.
     (f"run maze-expert {SMALL} --out /dev/null", "/dev/null is no folder", "another --out"),
     (f"run maze-expert {SMALL} --out file", "file is no folder", "another --out"),
