@@ -303,9 +303,8 @@ def train(
 
     Args:
         progress: whether to show a bar.
-        on_evaluation: called after each evaluation with a row for each member, for logging
-            (`runs.tensorboard.TensorBoard` is one such); to end early with what is there, it raises
-            StopIteration.
+        on_evaluation: called after each evaluation with a row for each member, for logging; to end
+            early with what is there, it raises StopIteration.
     """
 
     def on_advance(rows: list[Row]) -> None:

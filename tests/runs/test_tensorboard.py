@@ -6,8 +6,7 @@ import sys
 import pytest
 from run_folders import create
 
-from offairl_lite.core.loop import train
-from offairl_lite.runs import cli
+from offairl_lite.runs import cli, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.folders import work
 
@@ -23,11 +22,15 @@ def scalars(folder, seed):
 
 
 def test_every_evaluation_of_every_seed_is_written(tiny, tmp_path, random_demonstrations):
-    expert = random_demonstrations(tiny.env_id)
-    run = train(tiny, (3, 7), expert, progress=False, on_evaluation=logs.TensorBoard(tmp_path))
-    assert {path.name for path in tmp_path.iterdir()} == {"seed-3", "seed-7"}
-    for row in run.rows:
-        found = {tag: values[row.step] for tag, values in scalars(tmp_path, row.seed).items()}
+    folder, events = tmp_path / "run", tmp_path / "events"
+    shown = random_demonstrations(tiny.env_id)
+    create(folder, tiny, (3, 7), shown)
+    work(folder, demonstrations=shown, progress=False)
+    rows = records.read(folder).rows
+    assert logs.export(folder, events) == len(rows) > 2
+    assert {path.name for path in events.iterdir()} == {"seed-3", "seed-7"}
+    for row in rows:
+        found = {tag: values[row.step] for tag, values in scalars(events, row.seed).items()}
         expected = {"return/true": row.mean_return, "return/learned": row.learned_return}
         expected |= {f"update/{name}": value for name, value in row.metrics.items()}
         assert found == pytest.approx(expected, rel=1e-6)
@@ -61,7 +64,7 @@ def test_a_record_is_written_once_and_followed_to_its_end(tiny, tmp_path, monkey
 def test_a_missing_tensorboard_is_told_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ImportError, match=r"pip install -e '\.\[tensorboard\]'"):
-        logs.TensorBoard(tmp_path)
+        logs.export(tmp_path, tmp_path / "events")
 
 
 def test_no_run_no_events(tmp_path):
