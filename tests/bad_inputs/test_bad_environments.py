@@ -9,7 +9,7 @@ from own_task import BOX, Arm
 
 from offairl_lite import envs
 from offairl_lite.envs import BatchedEnv, make
-from offairl_lite.learned_reward import LearnedReward, LearnedRewardVector
+from offairl_lite.learned_reward import LearnedReward
 
 MAZE, PENDULUM = "offairl/PointMazeLeft-v0", "Pendulum-v1"  # A native and a serial task.
 WHOLE = "expected a whole number of at least"
@@ -205,7 +205,6 @@ def test_no_task_has(refused, own, spaces, words):
     refused(lambda: make(odd, 1, 0), f"{odd}: {words}")
 
 
-@pytest.mark.parametrize("wrap", [LearnedReward, LearnedRewardVector])
 @pytest.mark.parametrize(
     ("env_id", "reward", "given", "words"),
     [
@@ -227,10 +226,10 @@ def test_no_task_has(refused, own, spaces, words):
         ("Pendulum-v1", {}, {"discount": None}, "discount is None; expected a number in [0, 1)"),
     ],
 )
-def test_no_learned_reward_is_paid_by(refused, frozen_reward, wrap, env_id, reward, given, words):
-    one = wrap is LearnedReward
-    with closing(gymnasium.make(env_id) if one else gymnasium.make_vec(env_id, 2)) as env:
-        refused(lambda: wrap(env, frozen_reward(**({"members": 1} | reward)), **given), words)
+def test_no_learned_reward_is_paid_by(refused, frozen_reward, env_id, reward, given, words):
+    with closing(gymnasium.make(env_id)) as env:
+        learned = frozen_reward(**({"members": 1} | reward))
+        refused(lambda: LearnedReward(env, learned, **given), words)
 
 
 def test_a_learned_reward_that_is_not_there_is_named(tmp_path):
