@@ -1,20 +1,22 @@
 """The shipped experts: chosen from a population, with a note of each."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from offairl_lite import demonstrations
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.rollouts import rollout
+from offairl_lite.core.rollouts import Episodes, rollout
 from offairl_lite.demonstrations import (
     BLOCK,
     expert,
     expert_file,
-    fingerprint,
     first_episodes,
 )
 
@@ -49,9 +51,9 @@ def write_reference(env_id: str) -> Path:
     It holds `returns`, the mean return of each expert's mode over ten
     episodes; `demonstrated`, the mean return of 50 demonstrations by the
     first expert, by the first two, and so on, as `experts` of
-    `demonstrations.load` counts them; and the fingerprint of their first
-    demonstrations, with which `demonstrations.load` notices that another
-    machine makes others.
+    `demonstrations.load` counts them; and the `fingerprint` of their
+    first demonstrations. Written anew on another machine or with another
+    MuJoCo, the file shows whether the demonstrations are others there.
     """
     path, policy = expert_file(env_id).with_suffix(".json"), expert(env_id)
     content = {
@@ -63,6 +65,38 @@ def write_reference(env_id: str) -> Path:
     }
     path.write_text(json.dumps(content, indent=2) + "\n")
     return path
+
+
+def fingerprint(made: Episodes, env_id: str) -> dict[str, Any]:
+    """Return what tells one machine's demonstrations from another's.
+
+    These are SHA-256 of the `experts`' file and of each expert's
+    `demonstrations`, as `first_episodes` made them, their `mean_returns`,
+    and the version of `mujoco`.
+    """
+    members = zip(
+        made.obs,
+        made.action,
+        made.next_obs,
+        made.reward,
+        made.running,
+        strict=True,
+    )
+    return {
+        "experts": hashlib.sha256(
+            expert_file(env_id).read_bytes()
+        ).hexdigest(),
+        "demonstrations": [
+            hashlib.sha256(
+                b"".join(part[running].tobytes() for part in parts)
+            ).hexdigest()
+            for *parts, running in members
+        ],
+        "mean_returns": [
+            round(float(mean), 4) for mean in made.returns.mean(1)
+        ],
+        "mujoco": version("mujoco"),
+    }
 
 
 def _mode_returns(policy: Policy) -> np.ndarray:

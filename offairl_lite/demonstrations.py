@@ -1,14 +1,12 @@
 """Expert demonstrations: read from Minari, or made on first use by the shipped experts."""
 
 import hashlib
-import json
 import logging
 import shutil
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -226,9 +224,7 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
         if not complete():
             # No other process is writing, so an incomplete data set was abandoned.
             shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-            made = generate(policy, env_id, trajectories, dataset_id)
-            assert made is not None  # Those of a `Policy` come back.
-            _compare(made, env_id)
+            generate(policy, env_id, trajectories, dataset_id)
     return dataset_id
 
 
@@ -237,7 +233,7 @@ def generate(
     env_id: str,
     trajectories: int,
     dataset_id: str,
-) -> Episodes | None:
+) -> None:
     """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
     A function takes one observation, as the task gives it, and returns one action in the task's own
@@ -246,8 +242,7 @@ def generate(
     not fit the task.
 
     The actions of a `Policy` are sampled, as maximum-entropy experts act. With n members, experts
-    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. Returned
-    are then the first `BLOCK` episodes of each member.
+    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`.
 
     The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
     """
@@ -257,28 +252,24 @@ def generate(
     *_, units = minari_storage.closed_task(env_id)
     if isinstance(policy, Policy):
         require_actions(policy, units)
-        first, recordings = _sampled(policy, env_id, trajectories, units)
+        recordings = _sampled(policy, env_id, trajectories, units)
         by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
         algorithm = type(policy.actor).__name__
     elif callable(policy):
-        first, recordings = None, _played(policy, env_id, trajectories, units)
+        recordings = _played(policy, env_id, trajectories, units)
         by, algorithm = f"Episodes of {policy}.", getattr(policy, "__name__", "unknown")
     else:
         raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
     write(recordings, env_id, dataset_id, algorithm=algorithm, description=by)
-    return first
 
 
-def _sampled(
-    policy: Policy, env_id: str, trajectories: int, units: Box
-) -> tuple[Episodes, list[Recording]]:
-    """Return the first `BLOCK` episodes of each member, and as many recordings as are wanted."""
+def _sampled(policy: Policy, env_id: str, trajectories: int, units: Box) -> list[Recording]:
+    """Return sampled episodes of the members in turn."""
     middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
-    first = made = first_episodes(policy, env_id)
     recordings = []
     for i in tqdm(range(trajectories), unit="episode", desc=f"demonstrations of {env_id}"):
         e, member = divmod(i, len(policy))
-        if i > 0 and member == e % BLOCK == 0:
+        if member == e % BLOCK == 0:
             made = first_episodes(policy, env_id, e)
         at = member, e % BLOCK
         length = made.lengths[at]
@@ -287,7 +278,7 @@ def _sampled(
         action = np.clip(middle + half * made.action[at][:length], units.low, units.high)
         reward = made.reward[at][:length]
         recordings.append(Recording(obs, action, bool(made.terminated[at]), reward))
-    return first, recordings
+    return recordings
 
 
 def _played(
@@ -331,42 +322,3 @@ def first_episodes(policy: Policy, env_id: str, first: int = 0) -> Episodes:
     """Return `BLOCK` sampled episodes of each expert, from episode `first` on."""
     seeds = range(len(policy))
     return rollout(policy, env_id, seeds, BLOCK, sample=True, purpose=PURPOSE, first=first)
-
-
-def fingerprint(made: Episodes, env_id: str) -> dict[str, Any]:
-    """Return what tells demonstrations made on this machine from those made on another.
-
-    These are SHA-256 of the `experts`' file and of each expert's `demonstrations`, as
-    `first_episodes` made them, their `mean_returns`, and the version of `mujoco`.
-    """
-    members = zip(made.obs, made.action, made.next_obs, made.reward, made.running, strict=True)
-    return {
-        "experts": hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest(),
-        "demonstrations": [
-            hashlib.sha256(b"".join(part[running].tobytes() for part in parts)).hexdigest()
-            for *parts, running in members
-        ],
-        "mean_returns": [round(float(mean), 4) for mean in made.returns.mean(1)],
-        "mujoco": version("mujoco"),
-    }
-
-
-def _compare(made: Episodes, env_id: str) -> None:
-    """Log it if the first demonstrations are not the ones noted beside the shipped experts.
-
-    This is not a warning, since a warning can be turned into an error, and nothing is wrong.
-    """
-    path = expert_file(env_id).with_suffix(".json")
-    if not path.is_file():
-        return
-    noted, here = json.loads(path.read_text()), fingerprint(made, env_id)
-    members, mean = len(made.returns), np.mean(here["mean_returns"])
-    same_experts = noted["experts"] == here["experts"]
-    if same_experts and noted["demonstrations"][:members] != here["demonstrations"]:
-        log.warning(
-            f"The demonstrations of {env_id} are fine to use, but not byte for byte those of the "
-            f"records: made with MuJoCo {here['mujoco']}, expected {noted['mujoco']} (another "
-            "processor rounds differently as well). The mean return of the first "
-            f"{made.returns.size} is {mean:.4f} here, and was "
-            f"{np.mean(noted['mean_returns'][:members]):.4f} there."
-        )
