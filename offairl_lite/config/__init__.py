@@ -140,12 +140,9 @@ class Config:
         return cls(**groups)
 
     def change(self, **flat: Any) -> "Config":
-        """Return the configuration with some settings changed.
+        """Return the configuration with some settings changed; errors are those of `of`.
 
         With another learner or reward, settings that it does not have are dropped.
-
-        Raises:
-            ValueError: see `of`.
         """
         now = self.flat()
         kept = used_settings(now | flat)

@@ -140,20 +140,13 @@ def rollout(
     first: int = 0,
     num_threads: int = 1,
 ) -> Episodes:
-    """Run whole episodes with each member of a policy.
+    """Run so many whole episodes with each of the S members of a policy, all at the same time.
 
-    Args:
-        policy: S members.
-        env_id: the task, not necessarily the one the policy was trained on.
-        seeds: one for each member; the same seeds give the same episodes.
-        episodes: how many for each member, all at the same time.
-        sample: whether to sample actions; otherwise the mode is taken.
-        purpose: see `episode_seeds`, also for `first`.
-        num_threads: for the physics and PyTorch, which with more of them rounds otherwise.
-
-    Raises:
-        ReadingError: an observation or a reward of the task is NaN, or beyond ±`LARGEST`.
-        ValueError: seeds, policy and task do not fit, or an episode does not end.
+    The task need not be the one the policy was trained on. The same seeds, one for each member,
+    give the same episodes (see `episode_seeds`, also for `purpose` and `first`); with more threads,
+    for the physics and PyTorch, they are rounded otherwise. Actions are modes unless `sample` is
+    set. It is a ValueError if seeds, policy and task do not fit, or an episode does not end, and a
+    ReadingError if an observation or a reward of the task is NaN, or beyond ±`LARGEST`.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):

@@ -30,14 +30,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     the bounds, and the reward is charged for it in full. A member that has not been reset, or whose
     episode has ended, is reset by `step` in mode `NEXT_STEP`, and is an error in mode `DISABLED`.
 
-    Args:
-        task: a key of `TASKS`.
-        num_envs: number of members.
-        seeds: one per member; None takes them from the system.
-        num_threads: number of native threads that step the members.
-        autoreset_mode: `NEXT_STEP` or `DISABLED`.
-        render_mode: None or `"rgb_array"`.
-        max_episode_steps: None for the task's own time limit.
+    `task` is a key of `TASKS`. Without `seeds`, one per member, they are taken from the system, and
+    without `max_episode_steps` the task's own time limit holds. `render_mode` may be `"rgb_array"`.
     """
 
     # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.

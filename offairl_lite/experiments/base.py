@@ -21,15 +21,11 @@ ALL_EXPERTS: Experts = {"demo": None, "full": None}
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is run under a name.
+    """What is run under a name: configurations and seeds at each scale.
 
-    Args:
-        about: one line for a reader.
-        configs: the configuration at each scale.
-        variants: where it is several runs, their names, and what each changes in the configuration.
-        reward_from: the run whose learned reward is used, frozen; None for no such.
-        seeds: the members at each scale.
-        experts: how many of the shipped experts show the task at each scale; None for all.
+    `variants` are the names of its runs, where it is several, and what each changes. `reward_from`
+    is the run whose learned reward is used, frozen, if any; `experts` says how many of the shipped
+    experts show the task at each scale, None all of them.
     """
 
     about: str

@@ -291,10 +291,8 @@ def verify(
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
     Its checkpoints are not needed. Of several run folders the first is verified; see `known`.
-
-    Returns:
-        By seed and step the recorded row, and the row as it comes out now, from the first of so
-        many `evaluations` on. None stands for a member that had diverged, there or here.
+    Returned are, by seed and step, the recorded row and the row as it comes out now, from the first
+    of so many `evaluations` on. None stands for a member that had diverged, there or here.
     """
     folder = run_folders(folder)[0]
     spec = known(folder, task, "verify")

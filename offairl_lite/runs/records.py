@@ -65,15 +65,12 @@ PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 class RunSpec:
     """What a run is: the contents of `config.json`.
 
-    Args:
-        config: the configuration of every seed.
-        seeds: of the population, in the order of all files.
-        execution: the fields of `Execution`.
-        demonstrations: what `inputs.describe` says of them; None where no reward is learned.
-        checkpoint_every: steps and updates, together, between checkpoints.
-        experiment, scale: what it is called, if it is one of the experiments.
-        inherited: what the run was given of other runs: for each name in `inputs.CURES` the `files`
-            that it was loaded from, its `digest` and, if it is a part of theirs, the `members`.
+    `seeds` are in the order of all files; `execution` has the fields of `Execution`;
+    `demonstrations` is what `inputs.describe` says of them, None where no reward is learned;
+    `checkpoint_every` counts steps and updates together; `experiment` and `scale` are there if it
+    is one of the experiments. `inherited` is what the run was given of other runs: for each name in
+    `inputs.CURES` the `files` that it was loaded from, its `digest` and, if it is a part of theirs,
+    the `members`.
     """
 
     config: Config
