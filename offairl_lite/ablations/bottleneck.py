@@ -123,14 +123,9 @@ class Bottleneck(Discriminator):
         """Draw the initial weights of encoders and heads."""
         size = self.config.bottleneck_size
         self.reward_code, self.value_code = Code(self.reward_net, size), Code(self.value_net, size)
-        self.multiplier = torch.zeros(len(rng), 1, device=rng.device)
+        self.multiplier = self.state["multiplier"] = torch.zeros(len(rng), 1, device=rng.device)
         self.quadrature = gauss_hermite().to(rng.device)
         return self.reward_code.init(rng), self.value_code.init(rng)
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        return super().state | {"multiplier": self.multiplier}
 
     @property
     def weights(self) -> tuple[Params, Params]:

@@ -49,10 +49,7 @@ class OnProbabilityConfig(DiscriminatorConfig):
 class OnProbability(Discriminator):
     """The released penalty: ‖∇_s D‖; s, a, s' and log π have a mixing coefficient each."""
 
-    @property
-    def needs_log_prob(self) -> bool:
-        """Whether the loss contains log π: the penalty does, where there is a policy."""
-        return self.has_policy
+    log_prob_in_penalty = True
 
     def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
@@ -122,13 +119,8 @@ class SpectralNorm(Discriminator):
         """Draw the initial weights, and vectors for the power iteration."""
         params = super().init(rng)
         self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]
+        self.state |= zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
         return params
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        of_reward, of_value = self.vectors
-        return super().state | {"reward.vectors": of_reward, "value.vectors": of_value}
 
     @property
     def weights(self) -> tuple[Params, Params]:

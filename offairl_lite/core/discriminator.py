@@ -105,6 +105,9 @@ class Discriminator:
     together: an episode's for GAN-GCL, otherwise 1. `env_id` names the rewards that are learned.
     """
 
+    log_prob_in_penalty = False
+    """Whether the gradient penalty contains log π, of a policy that has one."""
+
     def __init__(
         self,
         config: DiscriminatorConfig,
@@ -120,14 +123,20 @@ class Discriminator:
         self.is_airl = config.reward in IMPLEMENTATIONS
         self.has_policy = self.is_airl or config.reward == "gan-gcl"
         self.policy_in_logit = self.has_policy and config.loss != "released"
+        # Whether the loss contains log π, in the logit or in the penalty.
+        self.needs_log_prob = self.policy_in_logit or (self.has_policy and self.log_prob_in_penalty)
         kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
         self.state_only, self.reward_is_logit = kind
         inputs = obs_dim if self.state_only else obs_dim + action_dim
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), config.activation)
         self.value_net = StackedMLP((obs_dim, *config.shaping_hidden, 1), config.activation)
+        # Everything that updates change: the tensors themselves.
+        self.state: dict[str, Tensor] = {}
         self.reward_params, self.value_params = self.init(rng)
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
+        optimizers = {"reward": self.reward_optimizer, "value": self.value_optimizer}
+        self.state |= optimizer_states(**optimizers)
         # What r does not see, its first layer ignores.
         self.mask = None
         if config.reward_sees is not None:
@@ -137,16 +146,6 @@ class Discriminator:
     def init(self, rng: Rng) -> tuple[Params, Params]:
         """Draw the initial weights of r and V."""
         return self.reward_net.init(rng), self.value_net.init(rng)
-
-    @property
-    def needs_log_prob(self) -> bool:
-        """Whether the loss contains log π."""
-        return self.policy_in_logit
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        return optimizer_states(reward=self.reward_optimizer, value=self.value_optimizer)
 
     @property
     def weights(self) -> tuple[Params, Params]:

@@ -103,11 +103,8 @@ class PPO:
             last *= FIRST_SCALE
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        return optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
+        # Everything that updates change: the tensors themselves.
+        self.state = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:

@@ -89,12 +89,9 @@ class OffPolicy:
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
         trained = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
-        return {"target": self.target_params, **trained}
+        # Everything that updates change: the tensors themselves.
+        self.state = {"target": self.target_params, **trained}
 
     def update(
         self, batch: Batch, reward: Vector, absorbing_reward: Column, noise: Action, delayed: bool
@@ -144,11 +141,7 @@ class SAC(OffPolicy):
         wanted = config.target_entropy
         self.target_entropy = -float(self.actor.action_dim) if wanted is None else wanted
         self.alpha_optimizer = Adam(self.log_alpha, config.learning_rate)
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        return super().state | optimizer_states(alpha=self.alpha_optimizer)
+        self.state |= optimizer_states(alpha=self.alpha_optimizer)
 
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:

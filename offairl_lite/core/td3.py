@@ -7,7 +7,6 @@ adds to the next action, a clipped noise that smooths the critic, and in having 
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from offairl_lite.config import TD3Config
 from offairl_lite.core.networks import descend
@@ -30,11 +29,7 @@ class TD3(OffPolicy):
     def __init__(self, config: TD3Config, *given: Any) -> None:
         super().__init__(config, *given)
         self.target_actor_params = self.actor_params.detach().clone()
-
-    @property
-    def state(self) -> dict[str, Tensor]:
-        """Everything that updates change: the tensors themselves."""
-        return super().state | {"target_actor": self.target_actor_params}
+        self.state["target_actor"] = self.target_actor_params
 
     def update_actor(self, obs: Obs, noise: Action) -> None:
         """Take one step up the first critic; the actor's target follows."""
