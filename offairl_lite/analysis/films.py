@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from offairl_lite import envs
 from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.rollouts import require_fit, seen
+from offairl_lite.core.rollouts import require_fit
 
 
 def frames(
@@ -40,7 +40,7 @@ def frames(
         obs, _ = env.reset()
         pictures = [_picture(env, env_id)]
         for step in range(1, max_steps + 1):
-            x = seen(policy, torch.as_tensor(obs, dtype=torch.float32)).unsqueeze(1)
+            x = torch.as_tensor(obs, dtype=torch.float32).unsqueeze(1)
             obs, _, terminated, truncated, _ = env.step(policy.act(x).squeeze(1).numpy())
             if step % every == 0:
                 pictures.append(_picture(env, env_id))

@@ -17,6 +17,7 @@ from torch.nn.functional import softplus
 
 from offairl_lite.config import PPOConfig, SACConfig, TD3Config
 from offairl_lite.config.settings import Count, Interval, Sizes
+from offairl_lite.core.absorbing import fit
 from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
@@ -257,9 +258,12 @@ class Policy(Population):
 
     @torch.no_grad()
     def act(self, obs: Obs, noise: Action | None = None) -> Action:
-        """Return actions in [-1, 1]: the mode, or a sample where `noise` is given."""
-        self._require("obs", obs, self.actor.obs_dim)
-        obs = self.normaliser(obs)
+        """Return actions in [-1, 1]: the mode, or a sample where `noise` is given.
+
+        `obs` are the task's own, also without the absorbing state's indicator.
+        """
+        self._require("obs", obs)
+        obs = self.normaliser(fit(obs, self.actor.obs_dim, f"the policy of {self.env_id}"))
         if noise is None:
             return self.actor.mode(self.params, obs)
         return torch.tanh(self.actor.explore(self.params, obs, noise))

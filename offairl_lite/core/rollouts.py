@@ -8,11 +8,9 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 from jaxtyping import Bool, Float
-from torch import Tensor
 
 from offairl_lite import envs
 from offairl_lite.config.settings import Count, Natural, checked
-from offairl_lite.core.absorbing import fit
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
 
@@ -79,11 +77,6 @@ def episode_seeds(
     ]
 
 
-def seen(policy: Policy, obs: Float[Tensor, "*axes O"]) -> Float[Tensor, "*axes O+1"]:
-    """Return a task's observations as a policy sees them, which may know of an absorbing state."""
-    return fit(obs, policy.actor.obs_dim, f"the policy of {policy.env_id}")
-
-
 def require_actions(policy: Policy, space: Box) -> None:
     """Raise ValueError if a policy gives another number of actions than a task takes."""
     if space.shape != (policy.actor.action_dim,):
@@ -95,7 +88,7 @@ def require_actions(policy: Policy, space: Box) -> None:
 
 def require_fit(policy: Policy, env: envs.BatchedEnv | envs.SerialEnv) -> None:
     """Raise ValueError if a policy sees or gives other numbers than an environment has."""
-    seen(policy, torch.zeros(env.single_observation_space.shape))
+    policy.act(policy.params.new_zeros(1, 1, *env.single_observation_space.shape))
     require_actions(policy, env.single_action_space)
 
 
@@ -122,7 +115,7 @@ def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.
     if given.ndim != 1 or given.dtype.kind not in "biuf":
         raise ValueError(f"obs is {obs!r}; expected numbers of shape ({policy.actor.obs_dim},)")
     x = torch.tensor(given, dtype=torch.float32, device=policy.params.device)
-    unit = policy.act(seen(policy, x).view(1, 1, -1)).flatten().cpu().numpy()
+    unit = policy.act(x.view(1, 1, -1)).flatten().cpu().numpy()
     scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
     if not (x.isfinite().all() and np.isfinite(scaled).all()):
         raise ValueError(f"obs is {obs}, and the action {scaled}; expected finite numbers")
@@ -163,7 +156,7 @@ def rollout(
         obs, _ = env.reset()
         while running.any():
             require_end(env_id, len(steps), limit)
-            x = seen(policy, torch.as_tensor(obs, dtype=torch.float32, device=device))
+            x = torch.as_tensor(obs, dtype=torch.float32, device=device)
             noise = rng.normal(action_dim).view(*shape, -1) if sample else None
             action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)

@@ -15,7 +15,7 @@ from offairl_lite import minari_storage
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import require_actions, seen
+from offairl_lite.core.rollouts import require_actions
 from offairl_lite.runs import inputs, records
 
 ABOUT = """\
@@ -55,7 +55,7 @@ class InUnits(torch.nn.Module):
     ) -> Float[Tensor, "B *A"]:
         """Return a policy's modes, as `core.rollouts.action` does, or the reward of each row."""
         if isinstance(self.thing, Policy):
-            unit = self.thing.act(seen(self.thing, obs)[None])[0]
+            unit = self.thing.act(obs[None])[0]
             return (self.low + (unit + 1) / 2 * (self.high - self.low)).clamp(self.low, self.high)
         if action is not None:
             action = ((action - self.low) / (self.high - self.low) * 2 - 1)[None]

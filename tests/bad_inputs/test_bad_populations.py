@@ -174,7 +174,7 @@ def test_neither_policies_nor_rewards_see(refused, see, obs, words):
 
 
 def test_a_policy_does_not_see_observations_of_another_size(refused):
-    refused(lambda: TWO.act(torch.zeros(2, 5, 4)), "shape (2, 5, 4); expected ...(2, 'B', 3)")
+    refused(lambda: TWO.act(torch.zeros(2, 5, 4)), "sees 3 numbers, and the task gives 4")
     assert TWO.act(OBS[:1]).shape == (2, 5, 2)  # The same ones for all members.
 
 
