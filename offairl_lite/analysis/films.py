@@ -64,13 +64,9 @@ def _filming(env_id: str) -> Iterator[None]:
     try:
         yield
     except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
-        why = error.__cause__ if isinstance(error, envs.TaskError) else error
-        # Raised by Python, by Gymnasium's checker and by its base class, in this order.
-        if not isinstance(why, TypeError | AssertionError | NotImplementedError):
-            raise
         raise ValueError(
             f"{env_id} cannot be filmed: its render() must return frames (height, width, 3) with "
-            f"render_mode='rgb_array'; found: {why!r}"
+            f"render_mode='rgb_array'; found: {error.__cause__ or error!r}"
         ) from error
 
 
