@@ -17,5 +17,6 @@ def test_demo_is_the_default(monkeypatch):
 @pytest.mark.parametrize("name", ["", "Demo", "paper"])
 def test_another_name_is_refused_and_the_two_are_listed(monkeypatch, name):
     monkeypatch.setenv("OFFAIRL_SCALE", name)
-    with pytest.raises(ValueError, match=f"{name!r}.*'demo' or 'full'"):
+    message = rf"OFFAIRL_SCALE is {name!r}; expected one of \('demo', 'full'\)"
+    with pytest.raises(ValueError, match=message):
         scale.current()

@@ -408,7 +408,7 @@ def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
 
 def test_an_unknown_scale_is_answered_in_one_line(capsys, monkeypatch):
     monkeypatch.setenv("OFFAIRL_SCALE", "huge")
-    assert "'demo' or 'full'" in failure("list", capsys)
+    assert "OFFAIRL_SCALE is 'huge'; expected one of ('demo', 'full')" in failure("list", capsys)
 
 
 def test_a_folder_in_use_is_left_alone(capsys, elsewhere):
