@@ -93,23 +93,14 @@ def require_fit(
 
 def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_dim: int) -> None:
     """Raise ValueError if a frozen reward sees other numbers than a run has."""
-    sees, kind = reward.normaliser.mean.shape[-1], config.schedule.absorbing
-    if sees != obs_dim:
-        cure = f"give the reward of a task like {config.env_id}"
-        # The absorbing state's indicator is one number.
-        if kind == "none" and sees == obs_dim + 1:
-            cure = "if that had an absorbing state, set absorbing='bootstrap'"
-        elif kind != "none" and sees == obs_dim - 1:
-            cure = "if that had no absorbing state, set absorbing='none'"
+    sees = reward.normaliser.mean.shape[-1]
+    takes = action_dim if reward.state_only else reward.net.sizes[0] - sees
+    if (sees, takes) != (obs_dim, action_dim):
         raise ValueError(
-            f"the frozen reward sees {sees} numbers; with absorbing={kind!r}, {config.env_id} "
-            f"gives {obs_dim}: it was learned on {reward.env_id}; {cure}"
-        )
-    if not reward.state_only and reward.net.sizes[0] - obs_dim != action_dim:
-        raise ValueError(
-            f"the frozen reward is an r(s, a) of {reward.env_id}, with "
-            f"{reward.net.sizes[0] - obs_dim} actions, and {config.env_id} has {action_dim}: give "
-            "one of the state alone, for instance Implementation 4's"
+            f"the frozen reward, of {reward.env_id}, sees {sees} numbers and {takes} of an action; "
+            f"with absorbing={config.schedule.absorbing!r}, {config.env_id} gives {obs_dim} and "
+            f"{action_dim}: set absorbing as the reward's run did, or give the reward of a task "
+            "like this one"
         )
 
 

@@ -58,21 +58,19 @@ def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):
         Trainer(tiny.change(reward_sees=(0, 3)), (0,), maze)
 
 
+CURE = ": set absorbing as the reward's run did, or give the reward of a task like this one"
+
+
 @pytest.mark.parametrize(
-    ("kind", "obs_dim", "gives", "cure"),
-    [
-        ("none", 5, 3, "it was learned on Hopper-v5; give the reward of a task like offairl/"),
-        ("none", 2, 3, "it was learned on Hopper-v5; give"),
-        ("none", 4, 3, "on Hopper-v5; if that had an absorbing state, set absorbing='bootstrap'"),
-        ("bootstrap", 3, 4, "on Hopper-v5; if that had no absorbing state, set absorbing='none'"),
-        ("analytic", 5, 4, "it was learned on Hopper-v5; give"),
-    ],
+    ("kind", "obs_dim", "gives"),
+    [("none", 5, 3), ("none", 2, 3), ("none", 4, 3), ("bootstrap", 3, 4), ("analytic", 5, 4)],
 )
 def test_a_frozen_reward_of_other_observations_is_refused(
-    tiny, frozen_reward, kind, obs_dim, gives, cure
+    tiny, frozen_reward, kind, obs_dim, gives
 ):
     frozen = tiny.change(reward="frozen", absorbing=kind)
-    message = f"sees {obs_dim} numbers; with absorbing='{kind}', .* gives {gives}: .*{cure}"
+    message = f"of Hopper-v5, sees {obs_dim} numbers and 2 of an action; with absorbing='{kind}', "
+    message += f"offairl/PointMazeLeft-v0 gives {gives} and 2{CURE}"
     with pytest.raises(ValueError, match=message):
         Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim))
 
@@ -80,7 +78,8 @@ def test_a_frozen_reward_of_other_observations_is_refused(
 @pytest.mark.parametrize("kind", ["none", "bootstrap"])
 def test_a_frozen_reward_of_other_actions_is_refused(tiny, frozen_reward, kind):
     frozen, obs_dim = tiny.change(reward="frozen", absorbing=kind), 3 + (kind != "none")
-    with pytest.raises(ValueError, match=r"Hopper-v5, with 3 actions, and .*Left-v0 has 2: give"):
+    message = rf"{obs_dim} numbers and 3 of an action; .*Left-v0 gives {obs_dim} and 2{CURE}"
+    with pytest.raises(ValueError, match=message):
         Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim, action_dim=3))
     assert len(run(frozen, (0,), None, frozen_reward(1, obs_dim=obs_dim, action_dim=2)).rows) == 2
 
