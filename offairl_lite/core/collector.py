@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offairl_lite.config import Config, LearnerConfig, PPOConfig, SACConfig
+from offairl_lite.config import Config, PPOConfig
 from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
@@ -59,12 +59,8 @@ class Members:
             raise FloatingPointError("; ".join(self.diverged.values()))
 
 
-def remedy(config: LearnerConfig) -> str:
-    """Return what to do about actions or weights that are not finite."""
-    cure = "lower learning_rate or reward_scale"
-    if isinstance(config, SACConfig) and config.temperature is None:
-        cure += ", or set temperature, if the learned one had risen without end (curve.csv)"
-    return cure
+REMEDY = "lower learning_rate or reward_scale; set temperature, if a learned one rose (curve.csv)"
+"""What to do about actions or weights that are not finite."""
 
 
 @cache
@@ -118,8 +114,7 @@ class Collector:
         pre_tanh = self._warmup_action() if explore is None else explore(obs)
         finite = pre_tanh.isfinite()
         if not finite.all():
-            cure = remedy(self.config.learner)
-            self.members.give_up(~finite.all(-1), self.steps, "actions are not finite", cure)
+            self.members.give_up(~finite.all(-1), self.steps, "actions are not finite", REMEDY)
             pre_tanh = pre_tanh.where(finite, 0)
         action = torch.tanh(pre_tanh)
         if self.guide is not None and self.guided.any():

@@ -22,7 +22,7 @@ from offairl_lite.config import Config, Schedule
 from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.collector import Collector, Members, part_of, remedy
+from offairl_lite.core.collector import REMEDY, Collector, Members, part_of
 from offairl_lite.core.evaluation import evaluate
 from offairl_lite.core.fitting import fit_discriminator, fit_learner
 from offairl_lite.core.models import Models, make_normaliser
@@ -136,9 +136,8 @@ class Trainer:
         log_density = models.log_density(self.steps)
         self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
         self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
-        cure = remedy(self.config.learner)
         for name, lost in models.not_finite().items():
-            self.members.give_up(lost, self.steps, f"{name} is not finite", cure)
+            self.members.give_up(lost, self.steps, f"{name} is not finite", REMEDY)
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""

@@ -322,14 +322,12 @@ def test_divergence_names_seed_step_and_tensor_and_spares_the_others(
     assert result.rows[-1] == beside.rows[-2]
 
 
-@pytest.mark.parametrize("temperature", [None, 0.2])
-def test_a_learned_temperature_is_among_what_may_have_diverged(tiny, frozen_reward, temperature):
+def test_a_learned_temperature_is_among_what_may_have_diverged(tiny, frozen_reward):
     reward = frozen_reward(2)
     reward.params[1] = torch.nan
-    config = tiny.change(reward="frozen", temperature=temperature)
     with pytest.warns(UserWarning, match="lower learning_rate"):
-        why = run(config, (3, 7), None, reward).diverged[7]
-    assert ("or set temperature" in why) == (temperature is None)
+        why = run(tiny.change(reward="frozen", temperature=None), (3, 7), None, reward).diverged[7]
+    assert why.endswith("set temperature, if a learned one rose (curve.csv)")
 
 
 def test_a_member_that_was_given_up_stays_at_zero(tiny, until):
