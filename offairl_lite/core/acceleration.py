@@ -60,12 +60,9 @@ class Execution:
             torch._dynamo.config.recompile_limit = 1_000
             torch._dynamo.config.accumulated_recompile_limit = 1_000
             step = torch.compile(step, fullgraph=True, dynamic=False)
-        step = self.widen(step)
+        if self.onednn and onednn_is_exact():
+            step = with_onednn(step)
         return step if self.device == "cpu" else CudaGraphed(step)
-
-    def widen(self, step: Callable) -> Callable:
-        """Return `step`, its matrix products made by oneDNN if they are to be, and are exact."""
-        return with_onednn(step) if self.onednn and onednn_is_exact() else step
 
 
 def is_large(config: LearnerConfig) -> bool:

@@ -97,7 +97,7 @@ def test_where_products_would_be_rounded_onednn_is_not_asked(monkeypatch):
     onednn_is_exact.cache_clear()
     monkeypatch.setattr(execution, "with_onednn", rounding)
     assert not onednn_is_exact()
-    assert Execution(onednn=True).widen(torch.bmm) is torch.bmm
+    assert Execution(onednn=True).accelerate(torch.bmm) is torch.bmm
     onednn_is_exact.cache_clear()
 
 
