@@ -192,7 +192,7 @@ def export(
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")
 
 
-def verify(record: Positional[Path], *, evaluations: int = 1, env_id: str | None = None) -> None:
+def verify(record: Positional[Path], *, env_id: str | None = None) -> None:
     """Do the beginning of a recorded run again, and compare.
 
     On the machine that made the record, with the same versions, the numbers are the same to the
@@ -202,10 +202,9 @@ def verify(record: Positional[Path], *, evaluations: int = 1, env_id: str | None
 
     Args:
         record: its folder.
-        evaluations: how many to do again, from the first one on.
         env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
     """
-    pairs = folders.verify(record, evaluations, sys.stderr.isatty(), env_id)
+    pairs = folders.verify(record, sys.stderr.isatty(), env_id)
     print(f"{'seed':>5} {'step':>9} {'recorded':>12} {'here':>12}")
     for (seed, step), pair in pairs.items():
         means = (f"{row.mean_return:.4f}" if row else "diverged" for row in pair)

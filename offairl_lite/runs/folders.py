@@ -286,27 +286,25 @@ def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[in
 
 
 def verify(
-    folder: str | PathLike, evaluations: int = 1, progress: bool = True, task: str | None = None
+    folder: str | PathLike, progress: bool = True, task: str | None = None
 ) -> dict[tuple[int, int], tuple[Row | None, Row | None]]:
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
     Its checkpoints are not needed. Of several run folders the first is verified; see `known`.
-    Returned are, by seed and step, the recorded row and the row as it comes out now, from the first
-    of so many `evaluations` on. None stands for a member that had diverged, there or here.
+    Returned are, by seed and step of the first evaluation, the recorded row and the row as it comes
+    out now. None stands for a member that had diverged, there or here.
     """
     folder = run_folders(folder)[0]
     spec = known(folder, task, "verify")
     rows = [row for row in records.read(folder).rows if row.seed in spec.seeds]
-    steps = sorted({row.step for row in rows})
-    if not 1 <= evaluations <= len(steps):
-        raise ValueError(f"evaluations is {evaluations}; {folder} has {len(steps)} to do again")
-    last = steps[evaluations - 1]
+    if not rows:
+        raise ValueError(f"{folder} has no evaluation to do again: {again(folder, spec)} goes on")
+    first = min(row.step for row in rows)
     here: dict[tuple[int, int], Row] = {}
 
-    def keep(again: list[Row]) -> None:
-        here.update({(row.seed, row.step): row for row in again})
-        if again[0].step >= last:
-            raise StopIteration
+    def keep(rows: list[Row]) -> None:
+        here.update({(row.seed, row.step): row for row in rows})
+        raise StopIteration
 
     with suppress(FloatingPointError):  # Every member diverges.
         train(
@@ -318,7 +316,7 @@ def verify(
             progress=progress,
             on_evaluation=keep,
         )
-    there = {(row.seed, row.step): row for row in rows if row.step <= last}
+    there = {(row.seed, row.step): row for row in rows if row.step == first}
     return {key: (there.get(key), here.get(key)) for key in there | here}
 
 

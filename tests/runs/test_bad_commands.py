@@ -179,8 +179,6 @@ ROWS = [
     ("verify done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
     ("export strange --out files", "no module is imported", "--env-id evil:Evil-v0`"),
     ("verify strange", "no module is imported", "`offairl verify strange --env-id evil:Evil-v0`"),
-    ("verify done --evaluations 0", "evaluations is 0", "has 1"),
-    ("verify done --evaluations 9", "evaluations is 9", "has 1"),
     ("verify damaged", "curve.csv is damaged", "bring all of damaged back"),
     ("tensorboard nowhere", "no run in", "nowhere"),
     # Tasks.

@@ -734,7 +734,7 @@ def test_large_networks_are_compiled_and_spread(
 
 def test_a_record_is_verified(capsys, elsewhere, monkeypatch):
     offairl(f"run maze-expert {SMALL} --out one")
-    offairl("verify one --evaluations 2")
+    offairl("verify one")
     assert "the same, every return of every episode" in capsys.readouterr().out
     curve, origin = elsewhere / "one" / "curve.csv", elsewhere / "one" / "run.json"
     rows = curve.read_text().splitlines()
