@@ -1,7 +1,6 @@
 """The picture of a run, `curve.png` in its folder: what to look at while it trains."""
 
 import math
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,27 +19,23 @@ COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.RED, plots.PURPLE)
 """Of the first five seeds; those of the next five are dashed."""
 
 
-def _gap(row: Row, before: Row) -> float:
-    return row.metrics.get("expert_logit", math.nan) - row.metrics.get("policy_logit", math.nan)
-
-
-def _length(row: Row, before: Row) -> float:
-    episodes = row.episodes - before.episodes
-    return (row.step - before.step) / episodes if episodes else math.nan
-
-
 RETURN = "return, by the task's own reward"
 LEARNED = "return, by the frozen reward:\nit should rise"
-PANELS: dict[str, Callable[[Row, Row], float]] = {
-    RETURN: lambda row, before: row.mean_return,
-    LEARNED: lambda row, before: row.learned_return,
-    "logit gap, expert minus policy:\na few nats, it should shrink": _gap,
-    "entropy of the verdict:\nit should rise": lambda row, before: row.metrics.get(
-        "entropy", math.nan
-    ),
-    "steps of an episode in training:\nabout as many as demonstrated": _length,
-}
-"""What is drawn, by its title: a number of an evaluation, which may need the one before."""
+
+
+def numbers(row: Row, before: Row) -> dict[str, float]:
+    """Return what is drawn of an evaluation, by its title; NaN where there is none."""
+    found, episodes = row.metrics.get, row.episodes - before.episodes
+    gap = found("expert_logit", math.nan) - found("policy_logit", math.nan)
+    return {
+        RETURN: row.mean_return,
+        LEARNED: row.learned_return,
+        "logit gap, expert minus policy:\na few nats, it should shrink": gap,
+        "entropy of the verdict:\nit should rise": found("entropy", math.nan),
+        "steps of an episode in training:\nabout as many as demonstrated": (
+            (row.step - before.step) / episodes if episodes else math.nan
+        ),
+    }
 
 
 def draw(folder: Path) -> None:
@@ -52,12 +47,11 @@ def draw(folder: Path) -> None:
     run = records.read(folder)
     start = Row(0, 0, 0, math.nan, (), math.nan, {})
     members = [[start, *(row for row in run.rows if row.seed == seed)] for seed in run.seeds]
-    shown = {
-        title: [[read(row, before) for before, row in pairwise(rows)] for rows in members]
-        for title, read in PANELS.items()
-        if title != LEARNED or run.config.reward == "frozen"
-    }
+    drawn = [[numbers(row, before) for before, row in pairwise(rows)] for rows in members]
+    shown = {k: [[at[k] for at in row] for row in drawn] for k in numbers(start, start)}
     shown = {k: y for k, y in shown.items() if np.nan_to_num(np.concatenate(y)).any()}
+    if run.config.reward != "frozen":
+        shown.pop(LEARNED, None)
     if not shown:
         return
     below = [title for title in shown if title != RETURN]
