@@ -99,18 +99,11 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
             )
     assert isinstance(observation_space, Box)
     assert isinstance(action_space, Box)
-    if not np.issubdtype(action_space.dtype, np.floating):
+    bounded = action_space.is_bounded() and (action_space.low < action_space.high).all()
+    if not bounded or not np.issubdtype(action_space.dtype, np.floating):
         raise ValueError(
-            f"{env_id}: the action space {action_space} is of integers, to which a policy's "
-            "actions would be rounded; make it a float32 Box, and round in the task's own step "
-            "if necessary"
-        )
-    if not action_space.is_bounded():
-        raise ValueError(f"{env_id}: every action must have finite bounds, not {action_space}")
-    if not (action_space.low < action_space.high).all():
-        raise ValueError(
-            f"{env_id}: the bounds of every action must differ, low < high, but in {action_space} "
-            "they do not; leave actions that cannot be chosen out of the space"
+            f"{env_id}: the action space {action_space} must be a Box of floats with finite "
+            "bounds, low < high: round in the task's own step, and leave out what cannot be chosen"
         )
     return observation_space, action_space
 
