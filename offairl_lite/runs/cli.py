@@ -132,12 +132,10 @@ def watch(
     """
     if out.suffix != ".mp4":
         raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
-    policy = _policy(what)
-    if not 0 <= member < len(policy):
-        raise ValueError(f"member is {member}; {what} has members 0 to {len(policy) - 1}")
+    policy = _policy(what).member(member)
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
-    pictures = films.frames(policy.member(member), env_id or policy.env_id, seed, max_steps)
+    pictures = films.frames(policy, env_id or policy.env_id, seed, max_steps)
     out.write_bytes(films.mp4(pictures))
     print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
 
