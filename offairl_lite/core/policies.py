@@ -260,7 +260,8 @@ class Policy(Population):
     def act(self, obs: Obs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given.
 
-        `obs` are the task's own, also without the absorbing state's indicator.
+        `obs` is (S, B, O) or (1, B, O), the task's own: the absorbing state's indicator is added
+        where the policy knows of it. It is a ValueError if it has another size.
         """
         self._require("obs", obs)
         obs = self.normaliser(fit(obs, self.actor.obs_dim, f"the policy of {self.env_id}"))

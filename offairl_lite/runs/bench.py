@@ -142,7 +142,7 @@ def table(report: dict[str, Any]) -> str:
     lines = [", ".join(f"{name} {number}" for name, number in about["versions"].items()), ""]
     lines.append(f"{about['processor']:60} a second")
     lines += [f"{title:60} {rate:8.0f}" for title, rate in report["rates"].items()]
-    return "\n".join([*lines, "", "Updates and steps of all members together."])
+    return "\n".join([*lines, "", "Of all members together. With each step come its updates."])
 
 
 def estimate(config: Config, members: int) -> float:
