@@ -69,10 +69,16 @@ VARIED = {
         for run in (
             "Hopper-released-fixed-short",
             "Hopper-released-fixed-long",
+            "Walker2d-released-fixed-short",
             "Walker2d-released-fixed-long",
         )
     },
     "decides-both-demo/Walker2d-released-fixed-long": {"replay_size"},
+    # Five more seeds of the warm-up's experiment.
+    **{
+        f"decides-{cure}-more-demo/Walker2d-released-fixed-{length}": {"replay_size"}
+        for cure, length in (("forget", "short"), ("forget", "long"), ("both", "long"))
+    },
     # Minutes of a GPU.
     **{
         f"locomotion-{place}-{method}": {"eval_every", "eval_episodes"}
