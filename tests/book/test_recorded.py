@@ -74,6 +74,7 @@ VARIED = {
         )
     },
     "decides-both-demo/Walker2d-released-fixed-long": {"replay_size"},
+    "decides-penalty-0.1-demo/Walker2d-released-fixed-short": {"gradient_penalty"},
     # Five more seeds of the warm-up's experiment.
     **{
         f"decides-{cure}-more-demo/Walker2d-released-fixed-{length}": {"replay_size"}
