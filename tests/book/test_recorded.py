@@ -57,8 +57,9 @@ VARIED = {
         for robot in ("Walker2d", "HalfCheetah")
     },
     **{
-        f"decides-penalty-1-demo/{robot}-released-fixed-short": {"gradient_penalty"}
+        f"decides-penalty-{weight}-demo/{robot}-released-fixed-short": {"gradient_penalty"}
         for robot in ("Hopper", "Walker2d", "HalfCheetah")
+        for weight in ("0.1", "1")
     },
     **{
         f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
@@ -74,7 +75,6 @@ VARIED = {
         )
     },
     "decides-both-demo/Walker2d-released-fixed-long": {"replay_size"},
-    "decides-penalty-0.1-demo/Walker2d-released-fixed-short": {"gradient_penalty"},
     # Five more seeds of the warm-up's experiment.
     **{
         f"decides-{cure}-more-demo/Walker2d-released-fixed-{length}": {"replay_size"}
