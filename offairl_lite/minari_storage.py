@@ -85,6 +85,9 @@ def write(
 
 def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
     """Return recording i as Minari's episode, in the task's types where it has them."""
+    if not isinstance(recording, Recording):
+        found = type(recording).__name__
+        raise TypeError(f"it is a {found}; expected a Recording(obs, action, terminated=...)")
     obs, action, terminated, reward = recording
     checked("terminated", terminated, bool)
     steps = len(np.atleast_1d(action))

@@ -5,6 +5,7 @@ from contextlib import closing, contextmanager
 
 import imageio_ffmpeg
 import mediapy
+import mujoco
 import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
@@ -63,6 +64,11 @@ def _filming(env_id: str) -> Iterator[None]:
     """Turn the errors of a task that does not render frames into one that says what it lacks."""
     try:
         yield
+    except mujoco.FatalError as error:
+        raise ValueError(
+            f"{env_id} cannot be filmed here: {error}; without a display set the environment "
+            "variable MUJOCO_GL=egl, or osmesa"
+        ) from error
     except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
         raise ValueError(
             f"{env_id} cannot be filmed: its render() must return frames (height, width, 3) with "

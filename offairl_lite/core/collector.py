@@ -69,7 +69,7 @@ def _say_that_ends_matter(env_id: str) -> None:
     log.warning(
         f"An episode of {env_id} has terminated, and absorbing is 'none': the constant of the "
         "learned reward, which nobody chose, then decides between a long life and a short one. "
-        "Set absorbing='bootstrap' (chapter 7)."
+        "Set absorbing='bootstrap', --absorbing bootstrap (chapter 7)."
     )
 
 

@@ -94,13 +94,13 @@ def require_fit(
 def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_dim: int) -> None:
     """Raise ValueError if a frozen reward sees other numbers than a run has."""
     sees = reward.normaliser.mean.shape[-1]
-    takes = action_dim if reward.state_only else reward.net.sizes[0] - sees
-    if (sees, takes) != (obs_dim, action_dim):
+    takes = reward.net.sizes[0] - sees
+    if sees != obs_dim or takes != action_dim * (not reward.state_only):
         raise ValueError(
-            f"the frozen reward, of {reward.env_id}, sees {sees} numbers and {takes} of an action; "
-            f"with absorbing={config.schedule.absorbing!r}, {config.env_id} gives {obs_dim} and "
-            f"{action_dim}: set absorbing as the reward's run did, or give the reward of a task "
-            "like this one"
+            f"the frozen reward, of {reward.env_id}, sees {sees} numbers and {takes or 'none'} of "
+            f"an action; with absorbing={config.schedule.absorbing!r}, {config.env_id} gives "
+            f"{obs_dim} and {action_dim}: set absorbing as the reward's run did, or give the "
+            "reward of a task like this one"
         )
 
 

@@ -106,9 +106,15 @@ def demos(
     said = f"return {returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
     said = f"{said if returns.any() else 'no rewards'}; {ended.sum()} of them terminated"
     print(f"{env_id}: {len(data)} trajectories, {sum(lengths):,} steps, {said}")
-    if at_limit := (ended & (lengths == envs.spec(env_id).max_episode_steps)).sum():
+    used = 50 * np.ptp(data.transitions.action.numpy(), axis=0)
+    print(f"actions use {', '.join(f'{share:.0f}' for share in used)} % of their ranges")
+    limit = envs.spec(env_id).max_episode_steps or np.inf
+    if at_limit := (ended & (lengths == limit)).sum():
         note = f"note: {at_limit} terminated in the last step of the time limit; if the limit ended"
         print(f"{note} them, write them with terminated=False", file=sys.stderr)
+    if longer := (lengths > limit).sum():
+        note = f"note: {longer} are longer than the time limit of {limit} steps; if several were"
+        print(f"{note} joined, write them as several recordings", file=sys.stderr)
 
 
 def watch(
@@ -132,6 +138,8 @@ def watch(
     """
     if out.suffix != ".mp4":
         raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
+    for path in Path(what).rglob("config.json") if env_id is None else ():
+        folders.known(path.parent, command="watch")
     policy = _policy(what).member(member)
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -248,7 +256,7 @@ def main(args: Sequence[str] | None = None) -> None:
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
-        name = next((arg for arg in free if arg in EXPERIMENTS), "maze-imitation")
+        name = next((arg for arg in free if arg in EXPERIMENTS), "imitate")
         asked = dict(pairwise(args)).get("--scale")
         size: Scale = "full" if asked == "full" else "demo" if asked == "demo" else current()
         commands: dict[str, Callable[..., Any]] = {

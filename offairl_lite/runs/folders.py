@@ -30,7 +30,7 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import FAULTY
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs, jobs, records
-from offairl_lite.runs.records import RunSpec, origin, read_state, run_folders, write_json
+from offairl_lite.runs.records import RunSpec, again, origin, read_state, run_folders, write_json
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
     """
     there = records.beginning(folder)
     taken = FileExistsError(
-        f"{folder} is not empty: `offairl resume {folder}` goes on with a run that is there; "
+        f"{folder} is not empty: `offairl resume {folder}` goes on with a run, if one is there; "
         "for a new one choose another --out, or remove it"
     )
     if there == folder and any(folder.iterdir()):
@@ -124,12 +124,6 @@ def known(folder: Path, task: str | None = None, command: str = "resume") -> Run
         why = "for safety, no module is imported because a file names it. Name it yourself"
         raise ValueError(f"{folder} is a run on {env_id}; {why}: {again(folder, spec, command)}")
     return spec
-
-
-def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
-    """Return what to type to go on with a run; it names a task that is in a module."""
-    task = spec.config.env_id
-    return f"`offairl {command} {folder}{f' --env-id {task}' * (':' in task)}`"
 
 
 def is_finished(folder: Path) -> bool:

@@ -18,7 +18,7 @@ from offairl_lite.config import Config
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs.records import RunSpec, file_name, join, read
+from offairl_lite.runs.records import RunSpec, again, file_name, join, read, run_folders
 
 CURES = {
     "frozen_reward": "--reward frozen",
@@ -66,8 +66,9 @@ def load_one(path: str | PathLike, kind: Any) -> Any:
     found = run.policy if kind is Policy else run.reward
     if found is None:
         raise FileNotFoundError(
-            f"{path} has no {file_name(kind)}, which is written at the end of a run: `offairl "
-            f"resume {path}` goes on to it (not every record keeps its own)"
+            f"{path} has no {file_name(kind)}, which is written at the end of a run: "
+            f"{again(path, RunSpec.read(run_folders(path)[0]))} goes on to it (not every record "
+            "keeps its own)"
         )
     return found
 

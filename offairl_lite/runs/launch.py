@@ -19,6 +19,7 @@ from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.acceleration import fitting, is_large
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.results import Run
+from offairl_lite.core.rollouts import LONGEST
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.runs import checkpoints, folders, inputs, jobs, records
@@ -88,7 +89,7 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
     default = Given(experts=own.experts[size])
 
     def run(
-        experiment: str = name,
+        experiment: str,
         *,
         scale: Scale = size,
         grid: Annotated[tuple[str, ...], UseAppendAction] = (),
@@ -109,7 +110,8 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         Each run has a folder of its own. The same command again goes on with what is there.
 
         Args:
-            experiment: its name; the defaults below are this experiment's at this scale.
+            experiment: its name, imitate for a task of your own; the defaults below are this
+                experiment's at this scale.
             scale: demo takes minutes, full is the paper's protocol.
             grid: a setting and its values, as in temperature=0.1,0.2 or hidden=64x64,400x300. All
                 combinations are run.
@@ -197,6 +199,9 @@ def _create(
             if one != other and not find(experiment).reward_from:  # These experiments mean it.
                 note = f"note: the {what} is of {one}, this run of {other}; only sizes are checked"
                 print(note.replace("_", " "), file=sys.stderr)
+        if envs.spec(env_id).max_episode_steps is None:
+            note = f"note: {env_id} has no time limit: an episode that does not end is an error"
+            print(f"{note} after {LONGEST:,} steps of an evaluation", file=sys.stderr)
         parts = max(min(spread[name], len(missing[name])), 1)
         for part in np.array_split(missing[name], parts):
             some, folder, own, members = tuple(part.tolist()), place / name, things, None
@@ -286,7 +291,7 @@ def _finish(
         elif left:
             failures = jobs.execute(left, **how)
     except KeyboardInterrupt:
-        sys.exit(f"offairl: stopped; {folders.again(place, specs[0])} goes on")
+        sys.exit(f"offairl: stopped; {records.again(place, specs[0])} goes on")
     if failures:
         print(*failures, sep="\n\n", file=sys.stderr)
     runs = {name: records.read(place / name) for name in names}
@@ -298,7 +303,7 @@ def _finish(
     if failures:
         raise ChildProcessError(
             f"{len(failures)} of {len(left)} jobs failed, twice: see above; "
-            f"{folders.again(place, specs[0])} goes on with them"
+            f"{records.again(place, specs[0])} goes on with them"
         )
     lost = [why for run in runs.values() for why in run.diverged.values()]
     if lost and (len(runs) == 1 or any(len(r.diverged) == len(r.seeds) for r in runs.values())):

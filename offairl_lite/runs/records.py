@@ -222,6 +222,12 @@ def seeds_name(seeds: Sequence[int]) -> str:
     return f"seeds-{name}"
 
 
+def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
+    """Return what to type to go on with a run; it names a task that is in a module."""
+    task = spec.config.env_id
+    return f"`offairl {command} {folder}{f' --env-id {task}' * (':' in task)}`"
+
+
 def read_state(folder: Path) -> dict[str, Any]:
     """Read `run.json`; raise ValueError if it is gone or damaged."""
     about = {"diverged": {}, **read_json(folder / "run.json")}

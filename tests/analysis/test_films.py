@@ -1,4 +1,5 @@
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
@@ -80,6 +81,13 @@ class Empty(Unwritten):
         return None
 
 
+class Dark(Unwritten):
+    """A task that looks for a display, where there is none."""
+
+    def render(self):
+        raise mujoco.FatalError("an OpenGL platform library has not been loaded")
+
+
 class Drawn(Unwritten):
     """A task that renders."""
 
@@ -112,6 +120,13 @@ def test_a_task_that_renders_no_frames_is_named(kind, why, register):
     with pytest.raises(ValueError, match=message) as error:
         video.frames(policy(), "Mine-v0")
     assert "\n" not in str(error.value)
+
+
+def test_a_machine_without_a_display_is_told_what_to_set(register):
+    register(Dark)
+    message = "Mine-v0 cannot be filmed here: an OpenGL .* loaded; .* set .* MUJOCO_GL=egl"
+    with pytest.raises(ValueError, match=message):
+        video.frames(policy(), "Mine-v0")
 
 
 def test_a_task_of_one_s_own_is_filmed(register):

@@ -91,9 +91,9 @@ def at(part, index, value):
         (GOOD._replace(terminated=1), "terminated is 1; expected True or False"),
         (GOOD._replace(terminated="no"), "terminated is 'no'; expected True or False"),
         (GOOD._replace(terminated=[False] * 4), "terminated is [False, False, False, False]; exp"),
-        (GOOD[:2], "cannot be read: ValueError: not enough values to unpack"),
-        (None, "cannot be read: TypeError: cannot unpack non-iterable NoneType"),
-        (3, "cannot be read: TypeError: cannot unpack non-iterable int"),
+        (GOOD[:2], "cannot be read: TypeError: it is a tuple; expected a Recording(obs, "),
+        (GOOD._asdict(), "it is a dict; expected a Recording(obs, action, terminated=...)"),
+        (None, "it is a NoneType; expected a Recording"),
     ],
 )
 def test_no_recording_is_written_with(refused, arm, minari_folder, recording, words):

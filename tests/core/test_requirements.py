@@ -69,8 +69,8 @@ def test_a_frozen_reward_of_other_observations_is_refused(
     tiny, frozen_reward, kind, obs_dim, gives
 ):
     frozen = tiny.change(reward="frozen", absorbing=kind)
-    message = f"of Hopper-v5, sees {obs_dim} numbers and 2 of an action; with absorbing='{kind}', "
-    message += f"offairl/PointMazeLeft-v0 gives {gives} and 2{CURE}"
+    message = f"of Hopper-v5, sees {obs_dim} numbers and none of an action; with "
+    message += f"absorbing='{kind}', offairl/PointMazeLeft-v0 gives {gives} and 2{CURE}"
     with pytest.raises(ValueError, match=message):
         Trainer(frozen, (0,), None, frozen_reward(1, HOPPER, obs_dim))
 

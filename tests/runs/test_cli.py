@@ -137,13 +137,22 @@ def test_demos_says_what_recordings_do_not_have_and_how_they_end(capsys, own, mi
     write([at_limit, short, cut], "Arm-v0", "own/ends-v0")
     offairl("demos Arm-v0 --dataset own/ends-v0")
     said = capsys.readouterr()
-    assert said.out == "Arm-v0: 3 trajectories, 13 steps, no rewards; 2 of them terminated\n"
+    first, second = said.out.splitlines()
+    assert first == "Arm-v0: 3 trajectories, 13 steps, no rewards; 2 of them terminated"
+    assert second == "actions use 0, 0 % of their ranges"
     assert said.err.startswith("note: 1 terminated in the last step of the time limit; ")
-    rewarded = cut._replace(reward=np.ones(5))
+    swung = np.zeros((5, 2))
+    swung[0], swung[1, 0] = 1, 0.5
+    rewarded = cut._replace(reward=np.ones(5), action=swung)
     write([rewarded], "Arm-v0", "own/rewarded-v0")
     offairl("demos Arm-v0 --dataset own/rewarded-v0")
-    (line,) = capsys.readouterr().out.splitlines()
-    assert line.endswith("return 5.00 (from 5.00 to 5.00); 0 of them terminated")
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.endswith("return 5.00 (from 5.00 to 5.00); 0 of them terminated")
+    assert second == "actions use 17, 100 % of their ranges"
+    joined = Recording(np.zeros((11, 2)), np.zeros((10, 2)), False)
+    write([joined, cut], "Arm-v0", "own/joined-v0")
+    offairl("demos Arm-v0 --dataset own/joined-v0")
+    assert "note: 1 are longer than the time limit of 5 steps" in capsys.readouterr().err
 
 
 def test_a_run_says_if_demonstrations_terminate_and_nothing_follows(
