@@ -164,15 +164,9 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     },
     "DAC with TD3 and SAC": {
         task: {
-            "DAC with TD3": f"locomotion-first/{task}-dac-td3",
-            "DAC with SAC": f"locomotion-first/{task}-dac",
+            "DAC with TD3": f"locomotion/{task}-dac-td3",
+            "DAC with SAC": f"locomotion/{task}-dac",
         }
-        for task in _MUJOCO
-    }
-    | {
-        "Hopper": {
-            "DAC with TD3": "hopper-dac/td3",
-            "DAC with SAC": "hopper-dac/sac",
-        }
+        for task in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
 }

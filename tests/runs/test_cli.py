@@ -289,7 +289,7 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
         ("run maze-transfer --frozen-reward no.safetensors", "no reward at no.safetensors"),
         (
             f"run --centre-reward maze-expert {SMALL}",
-            "the defaults are those of maze-imitation at demo scale: name the experiment before",
+            "the defaults are those of imitate at demo scale: name the experiment before",
         ),
         ("run maze-imitation --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
         (f"run maze-expert --env-id Nowhere-v0 {SMALL}", "unknown environment 'Nowhere-v0'"),
@@ -633,8 +633,8 @@ def test_what_stops_a_run_says_how_to_go_on_with_it(arm_folder, capsys, monkeypa
 
 
 def test_a_folder_may_have_the_name_of_an_experiment(elsewhere):
-    offairl(f"run --seeds 0 --out imitate --reward environment {SMALL}")
-    assert RunSpec.read(elsewhere / "imitate").experiment == "maze-imitation"
+    offairl(f"run --seeds 0 --out imitate maze-expert {SMALL}")
+    assert RunSpec.read(elsewhere / "imitate").experiment == "maze-expert"
 
 
 def test_processes_share_the_seeds(capsys, elsewhere):
