@@ -153,16 +153,10 @@ def load(
 ) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
-    Without `dataset_id` the shipped experts demonstrate. Their episodes are made the first time and
-    kept, under a name that changes when the experts do. A trajectory is always the same, however
-    many are asked for.
-
-    Args:
-        env_id: the task.
-        trajectories: number of episodes to take, from the first on.
-        dataset_id: a data set of your own, as `minari.list_local_datasets()` names it.
-        subsample: k, for every k-th transition of each trajectory (`Demonstrations.subsample`).
-        experts: how many of the shipped experts demonstrate, from the first on; by default all.
+    Without `dataset_id`, of a data set of your own, the shipped experts demonstrate, all or the
+    first few. Their episodes are made the first time and kept, under a name that changes when the
+    experts do. A trajectory is always the same, however many are asked for. With a `subsample` of k
+    there is every k-th transition of each (`Demonstrations.subsample`).
 
     Raises:
         FileNotFoundError: there is no such data set, or no expert to make it.

@@ -23,12 +23,10 @@ from offairl_lite.config import Config, LearnerConfig
 class Execution:
     """Where and how a run is computed. Another choice gives the same run up to rounding.
 
-    Args:
-        device: `cpu` or `cuda`, where networks live.
-        threads: of PyTorch, in the whole process, and of the physics. One is best for anything that
-            fits a core's cache; a second core does more good with a second process.
-        compile: whether updates are compiled, which takes a C++ compiler and about a minute.
-        onednn: whether oneDNN makes an update's matrix products, where that costs no precision.
+    Networks live on the `device`, `cpu` or `cuda`. `threads` are those of PyTorch, in the whole
+    process, and of the physics: a second core does more good with a second process. To `compile`
+    updates takes a C++ compiler and about a minute. With `onednn` oneDNN makes an update's matrix
+    products, where that costs no precision.
     """
 
     device: str = "cpu"

@@ -41,18 +41,11 @@ from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
-    It is a ValueError if something that `config` needs is missing, or does not fit the task.
-
-    Args:
-        config: what to do.
-        seeds: one for each member; the same seeds on the same machine give the same run.
-        demonstrations: of the expert, where a reward is to be learned.
-        frozen_reward: where `config.reward` is `frozen`.
-        pretrained_policy: to start from, where `config.pretrained` says so.
-        guide: one that acts at the starts of episodes, where there are `start_steps`.
-        execution: where and how it is computed.
-        replay_file: where transitions are kept, if not in memory alone.
-        memory: how many steps the replay file can be rewound, to a checkpoint.
+    The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
+    goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
+    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if not in memory alone, which can be rewound by
+    `memory` steps, to a checkpoint. It is a ValueError if something that `config` needs is missing,
+    or does not fit the task.
     """
 
     def __init__(
@@ -300,10 +293,8 @@ def train(
 ) -> Run:
     """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
 
-    Args:
-        progress: whether to show a bar.
-        on_evaluation: called after each evaluation with a row for each member, for logging; to end
-            early with what is there, it raises StopIteration.
+    `on_evaluation` is called after each evaluation with a row for each member, for logging; to end
+    early with what is there, it raises StopIteration. `progress` shows a bar.
     """
 
     def on_advance(rows: list[Row]) -> None:

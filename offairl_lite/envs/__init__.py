@@ -118,23 +118,17 @@ def make(
 ) -> BatchedEnv | SerialEnv:
     """Return a vector environment with one member per seed, without automatic resets.
 
+    `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
+    whose members are then stepped one after another. A single seed s stands for s, s + 1, ...
+
     Members start when the first `reset()` is called. A finished member must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
     every dimension, and are rescaled for an environment with other bounds. `get_state()` returns
     arrays from which `set_state(state)` continues exactly, here or in another environment made with
-    the same id and population.
+    the same id and population. With `"rgb_array"` for a `render_mode`, `render()` returns frames.
 
-    Args:
-        env_id: a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
-            whose members are then stepped one after another.
-        population: number of members.
-        seed: s seeds the members with s, s + 1, ...; or a sequence of one seed per member.
-        num_threads: number of native threads for a task of `TASKS`.
-        render_mode: None, or `"rgb_array"` for a frame of each member from `render()`.
-
-    Raises:
-        ValueError: an argument is not as above; or see `spec` and `require_boxes`.
-        TaskError: the task's own code has failed.
+    It is a ValueError if an argument is not as above, or see `spec` and `require_boxes`, and a
+    TaskError if the task's own code has failed.
     """
     for name, count in (("population", population), ("num_threads", num_threads)):
         checked(name, count, Count)

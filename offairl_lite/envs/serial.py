@@ -50,10 +50,8 @@ class SerialEnv(SyncVectorEnv):
     generator before the reset, and the actions since then; it is restored by playing the episode
     again. Actions from -1 to 1 are converted to the type and the units of the task.
 
-    Args:
-        members: new environments of one task.
-        units: their action space, as `envs.require_boxes` returns it.
-        seeds: one seed per member, for its first reset.
+    `members` are new environments of one task, `units` their action space, as `require_boxes`
+    returns it, and `seeds` are for their first resets.
     """
 
     single_observation_space: Box
