@@ -43,9 +43,9 @@ class Trainer:
 
     The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
     goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if not in memory alone, which can be rewound by
-    `memory` steps, to a checkpoint. It is a ValueError if something that `config` needs is missing,
-    or does not fit the task.
+    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if
+    not in memory alone, which can be rewound by `memory` steps, to a checkpoint. It is a ValueError
+    if something that `config` needs is missing, or does not fit the task.
     """
 
     def __init__(
