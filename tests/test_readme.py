@@ -48,7 +48,7 @@ def test_the_readme_from_an_empty_folder(tmp_path):
     }
     printed = {}
     for kind, code, before in steps((ROOT / "README.md").read_text()):
-        saved = re.search(r"[Ss]ave it as `(\S+)`:\s*$", before)
+        saved = re.search(r"Save it as `(\S+)`:\s*$", before)
         if saved:
             (tmp_path / saved[1]).write_text(code)
             continue

@@ -113,8 +113,8 @@ def demos(
         note = f"note: {at_limit} terminated in the last step of the time limit; if the limit ended"
         print(f"{note} them, write them with terminated=False", file=sys.stderr)
     if longer := (lengths > limit).sum():
-        note = f"note: {longer} are longer than the time limit of {limit} steps; if several were"
-        print(f"{note} joined, write them as several recordings", file=sys.stderr)
+        note = f"note: episodes longer than the time limit of {limit} steps: {longer}; if they are"
+        print(f"{note} several in one, write them as several recordings", file=sys.stderr)
 
 
 def watch(

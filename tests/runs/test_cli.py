@@ -152,7 +152,7 @@ def test_demos_says_what_recordings_do_not_have_and_how_they_end(capsys, own, mi
     joined = Recording(np.zeros((11, 2)), np.zeros((10, 2)), False)
     write([joined, cut], "Arm-v0", "own/joined-v0")
     offairl("demos Arm-v0 --dataset own/joined-v0")
-    assert "note: 1 are longer than the time limit of 5 steps" in capsys.readouterr().err
+    assert "note: episodes longer than the time limit of 5 steps: 1; " in capsys.readouterr().err
 
 
 def test_a_run_says_if_demonstrations_terminate_and_nothing_follows(
@@ -621,6 +621,27 @@ def test_what_a_command_names_its_processes_import(arm_folder, capsys):
     assert read("both").returns.shape == (2, 2)
     forget_arm()
     offairl(f"{line} --out both --processes 2")  # All is there; the same command goes on.
+
+
+def test_watching_names_the_task_as_well(arm_folder, capsys):
+    assert failure("watch one", capsys).endswith("`offairl watch one --env-id arm:Arm-v0`")
+
+
+def test_what_has_no_policy_yet_names_the_task_as_well(arm_folder, capsys):
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    offairl(f"{line} --out begun --prepare")
+    told = "has no policy.safetensors, .*: `offairl resume begun --env-id arm:Arm-v0` goes on"
+    for command in ("watch begun", "export begun --out robot"):
+        assert re.search(told, failure(f"{command} --env-id arm:Arm-v0", capsys))
+
+
+def test_a_task_without_a_time_limit_is_noted(arm_folder, capsys):
+    Path("arm.py").write_text(Path("arm.py").read_text().replace(", max_episode_steps=20", ""))
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    capsys.readouterr()
+    offairl(f"{line} --out endless --prepare")
+    said = capsys.readouterr().err
+    assert "note: arm:Arm-v0 has no time limit: an episode that does not end is an error" in said
 
 
 def test_what_stops_a_run_says_how_to_go_on_with_it(arm_folder, capsys, monkeypatch):
