@@ -74,21 +74,22 @@ class Demonstrations:
         return len(self.lengths)
 
     def subsample(self, every: int) -> "Demonstrations":
-        """Return every k-th transition of each trajectory, from a random one of the first k on.
+        """Return every k-th transition of each trajectory, k times, from a random one of k on.
 
         Ho and Ermon (2016) thin demonstrations in this way, and DAC after them. A termination is
-        always kept, as DAC keeps its absorbing transitions: it is the only sign of how an episode
-        ends, and the absorbing state is made from it.
+        always kept, as the only sign of how an episode ends. The others stand for the k of which
+        they are one, so that terminations are no more frequent than before: DAC's code divides the
+        weight of its absorbing transitions by k for this reason.
         """
         checked("every", every, Count)
         kept = []
         for i, (end, length) in enumerate(zip(np.cumsum(self.lengths), self.lengths, strict=True)):
+            last = end - int(self.transitions.terminated[end - 1])  # A termination is not thinned.
             # A trajectory of fewer than k transitions keeps one of them.
-            offset = np.random.default_rng((0, i)).integers(min(every, length))
-            rows = np.arange(end - length + offset, end, every)
-            if rows[-1] < end - 1 and self.transitions.terminated[end - 1]:
-                rows = np.append(rows, end - 1)
-            kept.append(rows)
+            times = min(every, last - (end - length))
+            offset = np.random.default_rng((0, i)).integers(max(times, 1))
+            thinned = np.arange(end - length + offset, last, every).repeat(times)
+            kept.append(np.append(thinned, np.arange(last, end)))
         taken = torch.from_numpy(np.concatenate(kept))
         transitions = Batch(*(part[taken] for part in self.transitions))
         returns = tuple(self.returns.tolist())
@@ -156,7 +157,7 @@ def load(
     Without `dataset_id`, of a data set of your own, the shipped experts demonstrate, all or the
     first few. Their episodes are made the first time and kept, under a name that changes when the
     experts do. A trajectory is always the same, however many are asked for. With a `subsample` of k
-    there is every k-th transition of each (`Demonstrations.subsample`).
+    there is every k-th transition of each, k times (`Demonstrations.subsample`).
 
     Raises:
         FileNotFoundError: there is no such data set, or no expert to make it.

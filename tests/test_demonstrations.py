@@ -391,15 +391,31 @@ def numbered(lengths, terminated):
 def test_every_kth_transition_is_kept_from_a_random_one_on():
     data = numbered([100] * 30, [False] * 30)
     thin = data.subsample(20)
-    assert thin.lengths == (5,) * 30
-    places = thin.transitions.reward.view(30, 5)
+    assert thin.lengths == (100,) * 30
+    places = thin.transitions.reward.view(30, 5, 20)
+    assert (places == places[..., :1]).all()  # each as often as it stands for others
+    places = places[..., 0]
     steps = places - 100 * torch.arange(30)[:, None]
     assert (places.diff() == 20).all()
     assert ((steps[:, 0] >= 0) & (steps[:, 0] < 20)).all()
     assert len(steps[:, 0].unique()) > 10  # an offset for each trajectory
     for part, whole in zip(thin.transitions, data.transitions, strict=True):
-        assert torch.equal(part, whole[places.flatten().long()])
+        assert torch.equal(part, whole[thin.transitions.reward.long()])
     assert torch.equal(data.subsample(20).transitions.reward, thin.transitions.reward)
+
+
+@pytest.mark.parametrize("length", [1, 2, 7, 20, 33])
+@pytest.mark.parametrize("ended", [True, False])
+def test_thinning_changes_no_frequency_on_average(length, ended):
+    """Every step is there once on average over the offsets, and a termination once exactly."""
+    n = 4000
+    thin = numbered([length] * n, [ended] * n).subsample(20)
+    counts = (thin.transitions.reward.long() % length).bincount(minlength=length) / n
+    error = 5 * np.sqrt(20 / n)  # of a step that is there 20 times with a probability of 1/20
+    np.testing.assert_allclose(counts, 1, atol=error)
+    if ended:
+        assert counts[-1] == 1
+        assert thin.transitions.terminated.sum() == n
 
 
 def test_thinned_demonstrations_have_the_returns_of_the_whole_trajectories():
@@ -417,7 +433,9 @@ def test_terminations_are_never_thinned_out():
     parts = thin.transitions.reward.split(thin.lengths)
     last = [part[-1].item() for part in parts]
     assert last[:3] == (np.cumsum(lengths)[:3] - 1).tolist()
-    assert all(len(part.unique()) == len(part) > 0 for part in parts)  # none twice, none lost
+    assert all(
+        len(part.unique()) >= min(2, n) for part, n in zip(parts, lengths, strict=True) if n > 20
+    )
     assert len(absorbing.loops(absorbing.rewrite(thin.transitions)).obs) == 3
     every = data.subsample(1)
     assert every.lengths == data.lengths
@@ -435,7 +453,7 @@ def test_less_than_every_transition_cannot_be_taken(every):
 def test_demonstrations_are_thinned_on_load(write_dataset):
     write_dataset("my/pendulum-v0")
     thin, whole = (load("Pendulum-v1", 2, "my/pendulum-v0", every) for every in (20, 1))
-    assert thin.lengths == (10, 10)
+    assert thin.lengths == (200, 200)
     wanted = whole.subsample(20)
     assert all(map(torch.equal, thin.transitions, wanted.transitions))
     np.testing.assert_array_equal(thin.returns, whole.returns)
