@@ -1,5 +1,6 @@
 """Algorithm 1: its schedule, its order, its reproducibility, divergence, going on from a state."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +17,7 @@ from offairl_lite.core.ppo import EPOCHS, PPO
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
-HOPPER = "Hopper-v5"
+HOPPER, MAZE = "Hopper-v5", "offairl/PointMazeLeft-v0"
 ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
@@ -61,6 +62,28 @@ def test_a_run_has_the_threads_it_asks_for(tiny, maze):
 
 def test_same_seeds_same_run(tiny, maze):
     assert_same(run(tiny, (1, 3), maze), run(tiny, (1, 3), maze))
+
+
+@pytest.mark.parametrize(
+    ("changes", "needed"),
+    [({}, False), ({"loss": "exact"}, True), ({"reward": "dac"}, True)],
+    ids=["recipe", "exact", "dac"],
+)
+@pytest.mark.parametrize("env_id", [MAZE, HOPPER])
+def test_the_recipe_does_not_look_at_the_actions_that_were_demonstrated(
+    tiny, random_demonstrations, env_id, changes, needed
+):
+    """Whoever has recorded observations alone may write zeros."""
+    ends = {"absorbing": "bootstrap", "update_every": 100} if env_id == HOPPER else {}
+    released = {"loss": "released", "reward": "implementation-4"}
+    config = tiny.change(env_id=env_id, **ends, **{**released, **changes})
+    shown = random_demonstrations(env_id)
+    zeros = torch.zeros_like(shown.transitions.pre_tanh)
+    blind = replace(shown, transitions=shown.transitions._replace(pre_tanh=zeros))
+    one, other = run(config, [0, 1], shown), run(config, [0, 1], blind)
+    assert torch.equal(one.policy.params, other.policy.params) != needed
+    if not needed:
+        assert_same(one, other)
 
 
 def test_after_an_interruption_a_run_can_be_started_again(tiny, maze):
