@@ -18,7 +18,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from offairl_lite import demonstrations
-from offairl_lite.analysis.statistics import interquartile_mean
+from offairl_lite.analysis.statistics import difference, interquartile_mean
 from offairl_lite.config import flat_settings
 from offairl_lite.core.loop import train
 from offairl_lite.core.rollouts import action
@@ -472,5 +472,17 @@ def test_what_transfers():
     text = " ".join(PAGE.split())
     assert f"returns of {velocity.min():.0f} to {velocity.max():.0f} after 50,000 steps" in text
     assert f"came to {true.min():.0f} to {true.max():.0f} " in text
+    plain, short, cool, both = (
+        records.read(RECORDS / f"decides-transfer-demo/velocity-{name}/scratch").returns[:, -1]
+        for name in ("recipe-raw", "short", "cool", "recipe")
+    )
+    assert f"returns of {plain.min():.0f} to {plain.max():.0f}" in text
+    for other in (short, cool, both, velocity):
+        _, low, high = difference(other, plain)
+        assert low < 0 < high
+    assert (short > 100).sum() == 4
+    assert min(cool.min(), both.min()) > 100
+    kept = records.read(RECORDS / "decides-transfer-demo/velocity/policy").returns[:, -1]
+    assert f"led to returns of {kept.min():.0f} to {kept.max():.0f}" in text
     marsh = records.read(RECORDS / "decides-marsh-demo/released-50/west").returns[:, -1]
     assert (marsh > -16).sum() == 1

@@ -108,6 +108,13 @@ VARIED = {
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
     "decides-transfer-demo/dac/scratch": {"centre_reward"},
     "decides-transfer-demo/true/scratch": {"reward"},
+    "decides-transfer-demo/velocity-short/scratch": {"centre_reward", "warmup_steps"},
+    "decides-transfer-demo/velocity-cool/scratch": {"centre_reward", "temperature"},
+    "decides-transfer-demo/velocity-recipe/scratch": {
+        *("centre_reward", "temperature", "warmup_steps")
+    },
+    "decides-transfer-demo/velocity-recipe-raw/scratch": {"temperature", "warmup_steps"},
+    "decides-transfer-demo/velocity-recipe/policy": {"centre_reward", "temperature"},
     # On the mazes learners are soon where they go.
     **{
         f"experts/PointMaze{side}-{learner}": {"eval_every"}
