@@ -482,7 +482,12 @@ def test_what_transfers():
         assert low < 0 < high
     assert (short > 100).sum() == 4
     assert min(cool.min(), both.min()) > 100
-    kept = records.read(RECORDS / "decides-transfer-demo/velocity/policy").returns[:, -1]
+    kept, warm = (
+        records.read(RECORDS / f"decides-transfer-demo/{name}/policy").returns[:, -1]
+        for name in ("velocity-recipe", "velocity")
+    )
     assert f"led to returns of {kept.min():.0f} to {kept.max():.0f}" in text
+    assert f"`--temperature None` of {warm.min():.0f} to {warm.max():.0f}" in text
+    assert 0 < difference(warm, kept)[1] < 10
     marsh = records.read(RECORDS / "decides-marsh-demo/released-50/west").returns[:, -1]
     assert (marsh > -16).sum() == 1
