@@ -74,22 +74,22 @@ class Demonstrations:
         return len(self.lengths)
 
     def subsample(self, every: int) -> "Demonstrations":
-        """Return every k-th transition of each trajectory, k times, from a random one of k on.
+        """Return every k-th transition of each trajectory, from a random one of the first k on.
 
-        Ho and Ermon (2016) thin demonstrations in this way, and DAC after them. A termination is
-        always kept, as the only sign of how an episode ends. The others stand for the k of which
-        they are one, so that terminations are no more frequent than before: DAC's code divides the
-        weight of its absorbing transitions by k for this reason.
+        Ho and Ermon (2016) thin demonstrations in this way, and DAC after them. Each is returned k
+        times, since it stands for k. A termination is always kept, as the only sign of how an
+        episode ends, and once, since it stands for itself: DAC's code divides the weight of its
+        absorbing transitions by k for the same reason.
         """
         checked("every", every, Count)
         kept = []
         for i, (end, length) in enumerate(zip(np.cumsum(self.lengths), self.lengths, strict=True)):
-            last = end - int(self.transitions.terminated[end - 1])  # A termination is not thinned.
+            thinned_end = end - int(self.transitions.terminated[end - 1])
             # A trajectory of fewer than k transitions keeps one of them.
-            times = min(every, last - (end - length))
+            times = min(every, thinned_end - (end - length))
             offset = np.random.default_rng((0, i)).integers(max(times, 1))
-            thinned = np.arange(end - length + offset, last, every).repeat(times)
-            kept.append(np.append(thinned, np.arange(last, end)))
+            thinned = np.arange(end - length + offset, thinned_end, every).repeat(times)
+            kept.append(np.append(thinned, np.arange(thinned_end, end)))
         taken = torch.from_numpy(np.concatenate(kept))
         transitions = Batch(*(part[taken] for part in self.transitions))
         returns = tuple(self.returns.tolist())

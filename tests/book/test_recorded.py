@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from offairl_lite.config import CORRECTED, differences, flat_settings
+from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, load_weights
 from offairl_lite.core.policies import Policy, make_actor
@@ -272,6 +273,19 @@ def test_the_script_of_what_decides_makes_no_updates_for_the_warm_up(monkeypatch
     for _ in Trainer(config, (0,)).run():
         pass
     assert fitted == [6, 8]
+
+
+def test_the_consistent_logit_of_what_decides_divides_f_by_the_temperature(monkeypatch):
+    cell = next(c for c in cells(ROOT / "book/notes", "what_decides") if "f / 0.2" in c.source)
+    script, _ = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
+    monkeypatch.setattr(Discriminator, "logit", Discriminator.logit)
+    monkeypatch.setattr("offairl_lite.runs.cli.main", lambda: None)
+    exec(script, {})
+    spec = spec_of("decides-scaled-demo/Hopper-exact-fixed-short")
+    assert spec.config.learner.temperature == 0.2
+    d = Discriminator(spec.config.discriminator, 3, 2, Rng((0,)), Normaliser.identity(1, 3))
+    f, log_prob = torch.tensor([[1.0, -2.0]]), torch.tensor([[0.5, 3.0]])
+    assert torch.allclose(d.logit(f, log_prob), torch.tensor([[4.5, -13.0]]))
 
 
 def spec_of(folder):

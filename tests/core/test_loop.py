@@ -66,11 +66,16 @@ def test_same_seeds_same_run(tiny, maze):
 
 @pytest.mark.parametrize(
     ("changes", "needed"),
-    [({}, False), ({"loss": "exact"}, True), ({"reward": "dac"}, True)],
-    ids=["recipe", "exact", "dac"],
+    [
+        ({}, False),
+        ({"loss": "exact"}, True),
+        ({"reward": "dac"}, True),
+        ({"reward": "implementation-3"}, True),
+    ],
+    ids=["recipe", "exact", "dac", "r(s, a)"],
 )
 @pytest.mark.parametrize("env_id", [MAZE, HOPPER])
-def test_the_recipe_does_not_look_at_the_actions_that_were_demonstrated(
+def test_only_the_recipe_does_without_the_demonstrated_actions(
     tiny, random_demonstrations, env_id, changes, needed
 ):
     """Whoever has recorded observations alone may write zeros."""
