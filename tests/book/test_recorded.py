@@ -114,7 +114,10 @@ VARIED = {
     "decides-transfer-demo/velocity-recipe/scratch": {
         *("centre_reward", "temperature", "warmup_steps")
     },
-    "decides-transfer-demo/velocity-recipe-raw/scratch": {"temperature", "warmup_steps"},
+    **{
+        f"decides-transfer-demo/{reward}/scratch": {"temperature", "warmup_steps"}
+        for reward in ("velocity-recipe-raw", "state-recipe", "dac-recipe")
+    },
     "decides-transfer-demo/velocity-recipe/policy": {"centre_reward", "temperature"},
     # On the mazes learners are soon where they go.
     **{
