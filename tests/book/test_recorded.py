@@ -112,7 +112,9 @@ VARIED = {
     "decides-transfer-demo/velocity-short/scratch": {"centre_reward", "warmup_steps"},
     "decides-transfer-demo/velocity-cool/scratch": {"centre_reward", "temperature"},
     "decides-transfer-demo/velocity-recipe/scratch": {
-        *("centre_reward", "temperature", "warmup_steps")
+        "centre_reward",
+        "temperature",
+        "warmup_steps",
     },
     **{
         f"decides-transfer-demo/{reward}/scratch": {"temperature", "warmup_steps"}
