@@ -101,8 +101,9 @@ VARIED = {
     "ant-transfer-demo/true/scratch": {"reward"},
     "decides-velocity-demo/CustomAnt-released-fixed-short": {"reward_sees"},
     **{
-        f"decides-ant-rewards-demo/{n}/CustomAnt-released-fixed-short": {"reward"}
+        f"decides-ant-rewards-demo/{n}/CustomAnt-{how}-short": {"reward"}
         for n in (1, 2, 3)
+        for how in ("released-fixed", "exact-one")
     },
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     "decides-transfer-demo/state/scratch": {"centre_reward"},
