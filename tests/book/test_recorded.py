@@ -101,10 +101,11 @@ VARIED = {
     "ant-transfer-demo/true/scratch": {"reward"},
     "decides-velocity-demo/CustomAnt-released-fixed-short": {"reward_sees"},
     **{
-        f"decides-ant-rewards-demo/{n}/CustomAnt-{how}-short": {"reward"}
+        f"decides-ant-rewards-demo/{n}/CustomAnt-released-fixed-short": {"reward"}
         for n in (1, 2, 3)
-        for how in ("released-fixed", "exact-one")
     },
+    "decides-ant-rewards-demo/3/CustomAnt-exact-one-short": {"reward"},
+    **{f"decides-upright-demo/{n}/CustomAnt-exact-one-short": {"reward"} for n in (1, 2, 3)},
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     "decides-transfer-demo/state/scratch": {"centre_reward"},
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
