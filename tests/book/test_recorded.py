@@ -105,7 +105,7 @@ VARIED = {
         for n in (1, 2, 3)
     },
     "decides-ant-rewards-demo/3/CustomAnt-exact-one-short": {"reward"},
-    **{f"decides-upright-demo/{n}/CustomAnt-exact-one-short": {"reward"} for n in (1, 2, 3)},
+    "decides-upright-demo/3/CustomAnt-exact-one-short": {"reward"},
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     "decides-transfer-demo/state/scratch": {"centre_reward"},
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
