@@ -63,6 +63,14 @@ VARIED = {
         for weight in ("0.1", "1")
     },
     **{
+        f"decides-wide-demo/{robot}-released-fixed-short": {
+            "hidden",
+            "reward_hidden",
+            "shaping_hidden",
+        }
+        for robot in ("Hopper", "Walker2d", "HalfCheetah")
+    },
+    **{
         f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
         for robot in ("Hopper", "Walker2d")
     },
