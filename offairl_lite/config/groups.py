@@ -169,7 +169,7 @@ class DiscriminatorConfig(Checked):
     updates: Count | None = None
     """Updates of the discriminator at a training block. None: as many as the block has steps."""
     discount: Fraction = 0.99
-    """γ in f(s, a, s') = r + γ V(s') - V(s)."""
+    """γ in f(s, a, s') = r + γ V(s') - V(s): set it to the learner's `discount`."""
     reward_hidden: Sizes = (100, 100)
     """Hidden layers of r."""
     shaping_hidden: Sizes = (100, 100)
