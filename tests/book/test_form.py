@@ -1,7 +1,9 @@
 """The form of a chapter: its length, its cells, its captions, and the program that it writes."""
 
 import ast
+import builtins
 import re
+import symtable
 from pathlib import Path
 
 import nbformat
@@ -66,6 +68,47 @@ def test_the_plain_program_is_written_by_the_chapters(name):
         if other == name
     ]
     assert found == [WRITTEN[name]]
+
+
+def names(source):
+    """The names that a cell makes, and those that it uses, in its functions as well."""
+    top = symtable.symtable(re.sub(r"(?m)^[%!].*$", "", source), "cell", "exec")
+    made = {
+        symbol.get_name()
+        for symbol in top.get_symbols()
+        if symbol.is_assigned() or symbol.is_imported() or symbol.is_namespace()
+    }
+    used, scopes = set(), [top]
+    for scope in scopes:
+        scopes += scope.get_children()
+        used |= {
+            symbol.get_name()
+            for symbol in scope.get_symbols()
+            if symbol.is_referenced() and (scope is top or symbol.is_global())
+        }
+    return made, used
+
+
+def test_names_are_found_in_functions_too():
+    made, used = names(
+        "%config x\nimport a.b\nc = d\n\n\ndef f(g, h=i):\n    j = k(g)\n    return j\n"
+    )
+    assert made == {"a", "c", "f"}
+    assert used == {"d", "i", "k"}
+
+
+@pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
+def test_a_reader_sees_where_every_name_comes_from(path):
+    """No cell that is shown, folded or not, uses a name that only a removed cell makes."""
+    known, unknown = set(dir(builtins)), {}
+    for number, cell in enumerate(nbformat.read(path, as_version=4).cells):
+        removed = (FOLDED - {"hide-input"}) & set(cell.metadata.get("tags", []))
+        if cell.cell_type == "code" and not removed:
+            made, used = names(cell.source)
+            known |= made
+            if used - known:
+                unknown[number] = sorted(used - known)
+    assert unknown == {}
 
 
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
