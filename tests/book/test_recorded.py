@@ -270,8 +270,8 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
     assert torch.equal(furthest, torch.tanh(means)[..., 0].min(2).values)
 
 
-def test_the_script_of_what_decides_makes_no_updates_for_the_warm_up(monkeypatch):
-    cell = next(c for c in cells(ROOT / "book/notes", "what_decides") if "skip.py" in c.source)
+def test_the_script_of_the_long_warm_up_makes_no_updates_for_it(monkeypatch):
+    cell = next(c for c in cells(ROOT / "book/notes", "long_warmup") if "skip.py" in c.source)
     (script,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
     sizes = {"warmup_steps": 4, "update_every": 2, "total_steps": 8, "eval_every": 8}
     task = {"env_id": "offairl/PointMazeLeft-v0", "reward": "environment", "absorbing": "none"}
@@ -290,9 +290,9 @@ def test_the_script_of_what_decides_makes_no_updates_for_the_warm_up(monkeypatch
     assert fitted == [6, 8]
 
 
-def test_the_consistent_logit_of_what_decides_divides_f_by_the_temperature(monkeypatch):
-    cell = next(c for c in cells(ROOT / "book/notes", "what_decides") if "f / 0.2" in c.source)
-    script, _ = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
+def test_the_consistent_logit_divides_f_by_the_temperature(monkeypatch):
+    cell = next(c for c in cells(ROOT / "book/notes", "around_the_recipe") if "f / 0.2" in c.source)
+    (script,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
     monkeypatch.setattr(Discriminator, "logit", Discriminator.logit)
     monkeypatch.setattr("offairl_lite.runs.cli.main", lambda: None)
     exec(script, {})

@@ -1,0 +1,146 @@
+"""The runs of what makes off-policy AIRL work on robots, for the notes.
+
+A run's name is `robot-loss-temperature-warmup`, as in the experiment
+`what-decides`. Returns are in percent of the mean return of the robot's
+usual demonstrations.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from IPython.display import HTML
+from jaxtyping import Float64
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drawing import table
+from offairl_lite import demonstrations, experiments
+from offairl_lite.analysis import plots
+from offairl_lite.runs import records
+
+Ends = Float64[np.ndarray, "seeds"]
+
+RECORDS = Path(__file__).parent / "records"
+GRID = "what-decides-demo"
+OTHERS = "decides-gpu-demo"  # on other demonstrations of CustomAnt
+RECIPE = "released-fixed-short"
+LOSSES = {
+    "released": "released",
+    "dac": "DAC",
+    "mixture": "mixture",
+    "exact": "exact logit",
+}
+TEMPERATURES = {"fixed": "α = 0.2", "learned": "α learned", "one": "α = 1"}
+WARMUPS = {"short": "1,000", "long": "10,000"}
+VARIANTS = tuple(experiments.find("what-decides").variants)
+ROBOTS = tuple(dict.fromkeys(name.split("-")[0] for name in VARIANTS))
+
+
+def demonstrated(robot: str) -> float:
+    """Return the mean return of the first expert's demonstrations."""
+    noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
+    return noted["demonstrated"][0]
+
+
+def _percent(
+    folder: str, after: int = 0
+) -> Float64[np.ndarray, "seeds evaluations"]:
+    """Return a run's evaluations after a step, up to the 100,000th."""
+    run = records.read(RECORDS / folder)
+    shown = (after < run.steps) & (run.steps <= 100_000)
+    assert run.steps[shown][-1] == 100_000
+    assert not run.diverged
+    robot, *_ = folder.split("/")[-1].split("-")
+    return 100 * run.returns[:, shown] / demonstrated(robot)
+
+
+def ended(*folders: str) -> Ends:
+    """Return how each seed of these runs does after 100,000 steps."""
+    return np.concatenate([_percent(folder)[:, -1] for folder in folders])
+
+
+def last_four(*folders: str) -> Ends:
+    """Return the same, as the mean of the last four evaluations."""
+    found = [_percent(folder, after=60_000) for folder in folders]
+    assert all(returns.shape[1] == 4 for returns in found)
+    return np.concatenate([returns.mean(1) for returns in found])
+
+
+def tried(place: str, kind: str = RECIPE) -> dict[str, Ends]:
+    """Return how seeds ended, for each robot that has such a run.
+
+    Args:
+        place: the folder of the records.
+        kind: the rest of the run's name, without the robot.
+    """
+    names = {robot: f"{place}/{robot}-{kind}" for robot in ROBOTS}
+    return {
+        robot: ended(name)
+        for robot, name in names.items()
+        if (RECORDS / name).is_dir()
+    }
+
+
+def grid(place: str = GRID) -> dict[str, Ends]:
+    """Return how seeds ended, for each run of the grid that is there."""
+    names = [name for name in VARIANTS if (RECORDS / place / name).is_dir()]
+    return {name: ended(f"{place}/{name}") for name in names}
+
+
+def numbers_of(
+    rows: Mapping[str, Mapping[str, Ends]],
+    columns: Sequence[str] = ROBOTS,
+    what: str = "% of the demonstrations",
+) -> HTML:
+    """Return a table of medians, with the lowest and the highest seed."""
+
+    def cell(ends: Ends | None) -> str:
+        if ends is None:
+            return "–"
+        low, middle, high = ends.min(), np.median(ends), ends.max()
+        text = f"{middle:,.0f} ({low:,.0f} to {high:,.0f})"
+        return text.replace("-0", "0").replace("-", "−")
+
+    return table(
+        [what, *columns],
+        [
+            (label, *(cell(found.get(column)) for column in columns))
+            for label, found in rows.items()
+        ],
+    )
+
+
+def draw_rows(
+    rows: Mapping[str, Mapping[str, Sequence[tuple[Ends | None, str]]]],
+    height: float = 0.3,
+    robots: Sequence[str] = ROBOTS,
+) -> tuple[Figure, Sequence[Axes]]:
+    """Draw a dot for each seed and a bar for the median.
+
+    Args:
+        rows: for each setting and robot its runs, each with its colour.
+        height: of a row, in inches.
+        robots: the panels.
+    """
+    size = (7.4, 1.2 + height * len(rows))
+    fig, axes = plt.subplots(1, len(robots), figsize=size, sharey=True)
+    for ax, robot in zip(axes, robots, strict=True):
+        for y, panels in enumerate(rows.values()):
+            arms = panels[robot]
+            for arm, (ends, color) in enumerate(arms):
+                if ends is None:
+                    continue
+                at = y + 0.4 * (arm - (len(arms) - 1) / 2)
+                dots = {"color": color, "markersize": 4.5, "alpha": 0.6}
+                ax.plot(ends, np.full(len(ends), at), "o", **dots)
+                ax.plot(np.median(ends), at, "k|", markersize=9)
+        ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
+        ax.set(xlim=(-15, 170), ylim=(len(rows) - 0.5, -0.5))
+        ax.set_xticks([0, 100])
+        ax.grid(visible=False, axis="y")
+        ax.set_title(robot)
+    axes[0].set_yticks(range(len(rows)), list(rows))
+    fig.supxlabel("% of the demonstrations' mean return", fontsize="medium")
+    return fig, axes
