@@ -59,7 +59,7 @@ VARIED = {
     },
     **{
         f"decides-penalty-{weight}-demo/{robot}-released-fixed-short": {"gradient_penalty"}
-        for robot in ("Hopper", "Walker2d", "HalfCheetah")
+        for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
         for weight in ("0.1", "1")
     },
     **{
@@ -72,7 +72,7 @@ VARIED = {
     },
     **{
         f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
-        for robot in ("Hopper", "Walker2d")
+        for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
     **{
         f"decides-forget-demo/{run}": {"replay_size"}
