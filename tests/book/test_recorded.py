@@ -68,7 +68,7 @@ VARIED = {
             "reward_hidden",
             "shaping_hidden",
         }
-        for robot in ("Hopper", "Walker2d", "HalfCheetah")
+        for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
     **{
         f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
