@@ -51,7 +51,7 @@ VARIED = {
     "hopper-none-demo/Hopper-released-fixed-short": {"absorbing", "eval_every"},
     **{
         f"decides-1.2-demo/{robot}-exact-fixed-short": {"temperature"}
-        for robot in ("Hopper", "Walker2d", "HalfCheetah")
+        for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
     **{
         f"decides-steeper-demo/{robot}-released-one-short": {"gradient_penalty"}
