@@ -118,28 +118,21 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
             f"{dataset_id}: {trajectories} trajectories were asked for; it has "
             f"{dataset.total_episodes}: give --trajectories {dataset.total_episodes}, or fewer"
         )
-    parts, made_on = [], _other_task(dataset.spec.env_spec, env_id)
+    if made_on := _other_task(dataset.spec.env_spec, env_id):
+        # Neither an error nor a warning, which may be turned into an error: it may be intended.
+        log.warning(
+            f"The data set {dataset_id} was made on {made_on}, and is taken for demonstrations of "
+            f"{env_id}. Where shapes and bounds fit, nothing else tells the two tasks apart: if "
+            f"you did not mean that, give a data set of {env_id}, or that task (one with arguments "
+            "has to be registered with them, under an id of your own)."
+        )
+    parts = []
     for i in range(trajectories):
         where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
         with _reading(where):
             (episode,) = dataset.iterate_episodes([i])
-        try:
-            _check(episode, where, seen, units)
-        except ValueError as error:
-            if not made_on:
-                raise
-            raise ValueError(
-                f"{error}. It was made on {made_on}: give a data set of {env_id}, or that task "
-                "(one with arguments has to be registered with them, under an id of your own)"
-            ) from None
+        _check(episode, where, seen, units)
         parts.append(_transitions(episode, units))
-    if made_on:
-        # Neither an error nor a warning, which may be turned into an error: it may be intended.
-        log.warning(
-            f"The data set {dataset_id} was made on {made_on}, and is taken for demonstrations of "
-            f"{env_id}. Shapes and bounds fit, and nothing else tells the two tasks apart: if you "
-            f"did not mean to show another task, give a data set of {env_id}."
-        )
     transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
 

@@ -5,7 +5,6 @@ successes by proportions with Wilson's interval and by exact tests of 2 × 2 tab
 """
 
 import math
-from collections.abc import Callable
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -14,6 +13,9 @@ from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 """How many resamples a bootstrap draws where there are too many to take them all."""
+
+TAIL = (1 - 0.95) / 2
+"""At most this much lies beyond each end of an interval: all of them are 95 % ones."""
 
 ENUMERATED = 20_000
 """Up to how many distinct resamples a bootstrap takes them all: eight seeds, or five a side."""
@@ -45,55 +47,44 @@ def _resamples(*sizes: int) -> tuple[list[Int[np.ndarray, "R n"]], Float[np.ndar
 
 
 def _percentiles(
-    drawn: Float[np.ndarray, "R ..."],
-    confidence: float,
-    probability: Float[np.ndarray, "R"] | None = None,
+    drawn: Float[np.ndarray, "R ..."], probability: Float[np.ndarray, "R"] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the middle of a distribution; None: all values are equally likely.
-
-    At most half of what the confidence leaves over lies beyond each end.
-    """
-    tail = (1 - confidence) / 2
+    """Return the ends of the middle of a distribution; None: all values are equally likely."""
     low, high = (
-        np.quantile(values, tail, axis=0, method="inverted_cdf", weights=probability)[()]
+        np.quantile(values, TAIL, axis=0, method="inverted_cdf", weights=probability)[()]
         for values in (drawn, -drawn)
     )
     return low, -high
 
 
-def bootstrap_interval(
-    values: Float[np.ndarray, "N ..."], confidence: float = 0.95
-) -> tuple[np.ndarray, np.ndarray]:
+def bootstrap_interval(values: Float[np.ndarray, "N ..."]) -> tuple[np.ndarray, np.ndarray]:
     """Return the percentile bootstrap interval of the interquartile mean over the first axis.
 
     All resamples of up to eight values are taken, 10,000 random ones of more.
     """
     (drawn,), probability = _resamples(len(values))
-    return _percentiles(interquartile_mean(values[drawn.T]), confidence, probability)
+    return _percentiles(interquartile_mean(values[drawn.T]), probability)
 
 
 def difference(
-    one: Float[np.ndarray, "N"],
-    other: Float[np.ndarray, "M"],
-    statistic: Callable[[np.ndarray], np.ndarray] = interquartile_mean,
-    confidence: float = 0.95,
+    one: Float[np.ndarray, "N"], other: Float[np.ndarray, "M"]
 ) -> tuple[float, float, float]:
-    """Return by how much a statistic of some runs' returns is above that of others.
+    """Return by how much the interquartile mean of some runs is above that of others.
 
     With it come the ends of its percentile bootstrap interval over the seeds of both; a single seed
     tells nothing of others, and leaves the interval without ends.
     """
-    found = float(statistic(one) - statistic(other))
+    found = float(interquartile_mean(one) - interquartile_mean(other))
     if min(len(one), len(other)) < 2:
         return found, -np.inf, np.inf
     (x, y), probability = _resamples(len(one), len(other))
-    drawn = statistic(one[x.T]) - statistic(other[y.T])
-    low, high = _percentiles(drawn, confidence, probability)
+    drawn = interquartile_mean(one[x.T]) - interquartile_mean(other[y.T])
+    low, high = _percentiles(drawn, probability)
     return found, float(low), float(high)
 
 
 def probability_of_improvement(
-    one: Float[np.ndarray, "N"], other: Float[np.ndarray, "M"], confidence: float = 0.95
+    one: Float[np.ndarray, "N"], other: Float[np.ndarray, "M"]
 ) -> tuple[float, float, float]:
     """Return how likely a run of `one` is better than a run of `other` (Agarwal et al. 2021).
 
@@ -106,13 +97,11 @@ def probability_of_improvement(
         return float(won.mean()), 0.0, 1.0
     (x, y), probability = _resamples(*won.shape)
     drawn = won[x[:, :, None], y[:, None, :]].mean((1, 2))
-    low, high = _percentiles(drawn, confidence, probability)
+    low, high = _percentiles(drawn, probability)
     return float(won.mean()), float(low), float(high)
 
 
-def success_rate(
-    succeeded: Bool[np.ndarray, "N"], confidence: float = 0.95
-) -> tuple[float, float, float]:
+def success_rate(succeeded: Bool[np.ndarray, "N"]) -> tuple[float, float, float]:
     """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927).
 
     Unlike a bootstrap's, it has a width also where all seeds succeed or none does.
@@ -120,7 +109,7 @@ def success_rate(
     if not len(succeeded):
         raise ValueError("no seeds were given, and a success rate needs at least one")
     test = scipy.stats.binomtest(int(np.sum(succeeded)), len(succeeded))
-    interval = test.proportion_ci(confidence, method="wilson")
+    interval = test.proportion_ci(0.95, method="wilson")
     return float(np.mean(succeeded)), float(interval.low), float(interval.high)
 
 

@@ -44,16 +44,6 @@ def absorbing_state(like: Extended) -> Extended:
     return there
 
 
-def hold_still(obs: Extended, *decided: Tensor) -> tuple[Tensor, ...]:
-    """Return actions (as `pre_tanh`) and log π, with 0 for both in the absorbing state.
-
-    What is done there is done with certainty, and no gradient comes back from it.
-    """
-    ended = is_absorbing(obs)
-    masks = (ended.unsqueeze(-1) if x.ndim > ended.ndim else ended for x in decided)
-    return tuple(x.masked_fill(mask, 0) for x, mask in zip(decided, masks, strict=True))
-
-
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 

@@ -15,7 +15,7 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.rollouts import FAULTY, faulty
+from offairl_lite.core.rollouts import require_sound
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
 log = logging.getLogger(__name__)
@@ -39,15 +39,19 @@ class Members:
         """Indices of the members that are still training."""
         return [i for i, seed in enumerate(self.seeds) if seed not in self.diverged]
 
-    def give_up(self, lost: Bool[Tensor, "S"], step: int, what: str, cure: str) -> None:
+    def give_up(self, lost: Bool[Tensor, "S"], step: int, what: str) -> None:
         """Go on without the members in `lost`; FloatingPointError if none is left.
 
-        The reason that is kept and warned of says `what` is wrong, since when, and the `cure`.
+        The reason that is kept and warned of says `what` is wrong, and since when.
         """
         for i in lost.nonzero().flatten().tolist():
             seed = self.seeds[i]
             if seed not in self.diverged:
-                why = f"seed {seed} diverged by step {step}: its {what}; {cure}"
+                why = (
+                    f"seed {seed} diverged by step {step}: its {what}; lower "
+                    "learning_rate or reward_scale; set temperature, if a learned one rose "
+                    "(curve.csv)"
+                )
                 self.diverged[seed] = why
                 warnings.warn(why, stacklevel=4)
         # Members that were given up still receive updates, so they are zeroed again.
@@ -57,10 +61,6 @@ class Members:
                 tensor[..., gone, :] = 0
         if len(gone) == len(self.seeds):
             raise FloatingPointError("; ".join(self.diverged.values()))
-
-
-REMEDY = "lower learning_rate or reward_scale; set temperature, if a learned one rose (curve.csv)"
-"""What to do about actions or weights that are not finite."""
 
 
 @cache
@@ -99,7 +99,7 @@ class Collector:
         # For how many more steps the guide acts.
         self.guided = torch.zeros(population, dtype=torch.long)
         self._draw_guided_steps(np.ones(population, bool))
-        (self.obs,) = self._sound(observation=env.reset()[0])
+        self.obs = self._reset(np.ones(population, bool))
 
     @torch.no_grad()
     def step(
@@ -114,14 +114,16 @@ class Collector:
         pre_tanh = self._warmup_action() if explore is None else explore(obs)
         finite = pre_tanh.isfinite()
         if not finite.all():
-            self.members.give_up(~finite.all(-1), self.steps, "actions are not finite", REMEDY)
+            self.members.give_up(~finite.all(-1), self.steps, "actions are not finite")
             pre_tanh = pre_tanh.where(finite, 0)
         action = torch.tanh(pre_tanh)
         if self.guide is not None and self.guided.any():
             guided = (self.guided > 0).to(action.device).unsqueeze(1)
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
-        next_obs, reward = self._sound(observation=next_obs, reward=reward)
+        left = self.members.left
+        seen = {"observation": next_obs[left], "reward": reward[left]}
+        require_sound(self.config.env_id, f"step {self.steps}", **seen)
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
         own = (self.guided == 0).nonzero().squeeze(1)
@@ -129,9 +131,7 @@ class Collector:
         self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
         self._draw_guided_steps(done)
-        self.obs = next_obs
-        if done.any():
-            (self.obs,) = self._sound(observation=self.env.reset(options={"reset_mask": done})[0])
+        self.obs = self._reset(done) if done.any() else next_obs
         self.steps += 1
         self.episodes += torch.from_numpy(done)
         return done
@@ -143,16 +143,11 @@ class Collector:
         self.held_action = torch.where(redraw | (self.steps == 0), fresh, self.held_action)
         return unsquash(self.held_action)
 
-    def _sound(self, **given: np.ndarray) -> Sequence[np.ndarray]:
-        """Return what the task gives, zero where it is faulty; members concerned are given up."""
-        wrong = {name: faulty(x) for name, x in given.items()}
-        for name, x in given.items():
-            for i, *place in np.argwhere(wrong[name]).tolist():
-                if i in self.members.left:
-                    what = f"{name}{place or ''} is {x[i, *place]:.6g}, {FAULTY}"
-                    lost, cure = torch.arange(len(x)) == i, f"mend {self.config.env_id}"
-                    self.members.give_up(lost, self.steps, what, cure)
-        return [np.where(wrong[name], x.dtype.type(0), x) for name, x in given.items()]
+    def _reset(self, done: Bool[np.ndarray, "S"]) -> Float[np.ndarray, "S O"]:
+        """Begin new episodes where one is done; return all observations."""
+        obs, _ = self.env.reset(options={"reset_mask": done})
+        require_sound(self.config.env_id, f"step {self.steps}", observation=obs[self.members.left])
+        return obs
 
     def _draw_guided_steps(self, begins: Bool[np.ndarray, "S"]) -> None:
         """Draw for how long the guide acts in the episodes that begin."""

@@ -9,6 +9,7 @@ DAC's is the special case $\ell = r_\psi(s, a)$, without shaping. GAN-GCL judges
 $\ell = \sum_t r_\psi(s_t, a_t) - \log \pi(a_t|s_t)$.
 """
 
+from collections.abc import Callable
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -26,6 +27,9 @@ from offairl_lite.core.shapes import Action, Metrics, Obs, Params, PerMember, Sc
 
 LEARNING_RATE = 1e-3
 """Adam's, for r and V (Arnob 2020, section 5)."""
+
+LogDensity = Callable[[Batch], Vector]
+"""log π of each transition of a batch."""
 
 
 def shaped_reward(r: Vector, value: Vector, next_value: Vector, discount: float) -> Vector:
@@ -236,17 +240,13 @@ class Discriminator:
         return metrics
 
     @torch.no_grad()
-    def reward(self, batch: Batch, log_prob: Vector | None) -> Vector:
-        """Return the learner's reward; `log_prob` is wanted where `reward_is_logit`."""
+    def reward(self, batch: Batch, log_density: LogDensity) -> Vector:
+        """Return the learner's reward; `log_density` is asked for log π where it is a part."""
         if not self.reward_is_logit:
             r = self.frozen(batch.obs, batch.action)
             return r if self.is_airl else OF_LOGIT[self.config.reward](r)
         f = self.f(self.seen(batch))
-        if not self.config.log_prob_in_reward:
-            return f
-        if log_prob is None:
-            raise ValueError(f"{self.config.reward} is f - log π: give it the actions' log_prob")
-        return log_odds(f, log_prob)
+        return log_odds(f, log_density(batch)) if self.config.log_prob_in_reward else f
 
     @property
     def frozen(self) -> Reward:

@@ -7,7 +7,7 @@ from offairl_lite.core.collector import Collector
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import FAULTY, Episodes, ReadingError, rollout
+from offairl_lite.core.rollouts import Episodes, rollout
 from offairl_lite.core.shapes import Metrics
 
 
@@ -16,33 +16,24 @@ def evaluate(
 ) -> list[Row]:
     """Return a row for each member that is still training, and for no other.
 
-    Each plays `eval_episodes` episodes with its mode, the same ones every time. A member whose task
-    gives faulty numbers is given up.
+    Each plays `eval_episodes` episodes with its mode, the same ones every time.
     """
-    config, members, step = collector.config, collector.members, collector.steps
-    env_id, episodes = config.env_id, config.schedule.eval_episodes
-    while True:
-        left = members.left
-        seeds = [members.seeds[i] for i in left]
-        try:
-            played = rollout(policy.member(*left), env_id, seeds, episodes, num_threads=num_threads)
-            break
-        except ReadingError as error:
-            lost = torch.zeros(len(members.seeds), dtype=torch.bool)
-            lost[[left[i] for i in error.members]] = True
-            members.give_up(lost, step, f"observation or reward is {FAULTY}", f"mend {env_id}")
-    learned = learned_returns(played, reward and reward.member(*left))
+    config, members = collector.config, collector.members
+    seeds = [members.seeds[i] for i in members.left]
+    what = config.env_id, seeds, config.schedule.eval_episodes
+    played = rollout(policy.member(*members.left), *what, num_threads=num_threads)
+    learned = learned_returns(played, reward and reward.member(*members.left))
     return [
         Row(
             members.seeds[i],
-            step,
+            collector.steps,
             int(collector.episodes[i]),
             float(returns.mean()),
             tuple(map(float, returns)),
             float(learned_return.mean()),
             {name: float(value[i]) for name, value in metrics.items()},
         )
-        for i, returns, learned_return in zip(left, played.returns, learned, strict=True)
+        for i, returns, learned_return in zip(members.left, played.returns, learned, strict=True)
     ]
 
 

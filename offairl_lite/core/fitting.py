@@ -7,7 +7,8 @@ minibatches are computed in one pass. Both functions return the diagnostics of t
 
 from collections.abc import Iterator
 
-from offairl_lite.core.models import LogDensity, Models
+from offairl_lite.core.discriminator import LogDensity
+from offairl_lite.core.models import Models
 from offairl_lite.core.ppo import EPOCHS, PPO
 from offairl_lite.core.replay import Batch, Replay, choose
 from offairl_lite.core.sac import ACTOR_DELAY

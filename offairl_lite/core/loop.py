@@ -22,7 +22,7 @@ from offairl_lite.config import Config, Schedule
 from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.collector import REMEDY, Collector, Members, part_of
+from offairl_lite.core.collector import Collector, Members, part_of
 from offairl_lite.core.evaluation import evaluate
 from offairl_lite.core.fitting import fit_discriminator, fit_learner
 from offairl_lite.core.models import Models, make_normaliser
@@ -124,17 +124,19 @@ class Trainer:
 
     def fit(self, steps: int) -> None:
         """Train on a block of so many steps: the discriminator, then the learner on its reward."""
-        models, replay = self.built, self.collector.replay
+        models, replay = self.models, self.collector.replay
+        assert models is not None  # The warm-up is over.
         # For both of them π is what it was before the block.
         log_density = models.log_density(self.steps)
         self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
         self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
         for name, lost in models.not_finite().items():
-            self.members.give_up(lost, self.steps, f"{name} is not finite", REMEDY)
+            self.members.give_up(lost, self.steps, f"{name} is not finite")
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
-        models, threads = self.built, self.execution.threads
+        models, threads = self.models, self.execution.threads
+        assert models is not None  # The warm-up is over.
         return evaluate(models.policy, models.reward, self.collector, self.metrics, threads)
 
     @property
@@ -182,13 +184,6 @@ class Trainer:
     def reward(self) -> Reward | None:
         """The learned reward as it is now, or the frozen one; None with the task's own."""
         return self.models.reward if self.models else self.inherited.frozen_reward
-
-    @property
-    def built(self) -> Models:
-        """The networks, which there are once the warm-up is over."""
-        if self.models is None:
-            raise RuntimeError("there are no networks before the warm-up is over")
-        return self.models
 
     def build(self, normaliser: Normaliser) -> None:
         """Make learner and discriminator."""

@@ -1,7 +1,6 @@
 """The networks of a run: learner and discriminator, and the reward between them."""
 
 import warnings
-from collections.abc import Callable
 from functools import partial
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor
 from offairl_lite.config import Config, DiscriminatorConfig, SACConfig, TD3Config
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.discriminator import Discriminator, make_discriminator
+from offairl_lite.core.discriminator import Discriminator, LogDensity, make_discriminator
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import MultiplicativeGaussian, Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
@@ -22,9 +21,6 @@ from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.shapes import Column, Params, Vector
 from offairl_lite.core.td3 import TD3
-
-LogDensity = Callable[[Batch], Vector]
-"""log π of each transition of a batch."""
 
 
 def make_learner(
@@ -153,8 +149,7 @@ class Models:
             return scale * self.frozen_reward(batch.obs, batch.action)
         if self.discriminator is None:
             return scale * batch.reward
-        log_prob = log_density(batch) if self.discriminator.reward_is_logit else None
-        return scale * self.discriminator.reward(batch, log_prob)
+        return scale * self.discriminator.reward(batch, log_density)
 
     def absorbing_reward_of(self, batch: Batch, log_density: LogDensity) -> Column:
         """Return r(s_a), or 0 where there is no such state."""

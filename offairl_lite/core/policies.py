@@ -280,9 +280,6 @@ class Policy(Population):
             del shape["composition"]  # Files from before it was an actor of its own.
         name = shape.pop("name")
         if name not in known:
-            raise ValueError(
-                f"the actor is {name!r}; expected one of {', '.join(known)}. For the actor "
-                "of an ablation, import offairl_lite.ablations first"
-            )
+            raise ValueError(f"the actor is {name!r}; expected one of {', '.join(known)}")
         actor = known[name](**(shape | fields_of(known[name], shape)))
         return actor.num_params, actor.obs_dim, {"actor": actor}

@@ -19,18 +19,12 @@ from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import critic_loss
 from offairl_lite.core.shapes import Action, Metrics, Obs, Params, Scalar, Vector
 
-CLIP = 0.2
-"""How far the ratio of new to old density may move before it stops to pay."""
-
-EPOCHS = 10
-"""How often a block of steps is gone through (Schulman et al. 2017, table 3)."""
-
-GAE_DECAY = 0.95
-"""λ of generalised advantage estimation."""
-
+CLIP = 0.2  #: How far the ratio of new to old density may move before it stops to pay.
+EPOCHS = 10  #: How often a block of steps is gone through (Schulman et al. 2017, table 3).
+GAE_DECAY = 0.95  #: λ of generalised advantage estimation.
+#: Factor on the actor's last layer when it is drawn, so that the first actions have no preference
+#: (Andrychowicz et al. 2021, section 3.2).
 FIRST_SCALE = 0.01
-"""Factor on the actor's last layer when it is drawn, so that the first actions have no preference
-(Andrychowicz et al. 2021, section 3.2)."""
 
 
 def episode_ends(obs: Obs, next_obs: Obs) -> Bool[Tensor, "S B"]:

@@ -1,7 +1,7 @@
 """Whole episodes of a fixed policy."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from typing import NamedTuple
 
 import numpy as np
@@ -22,20 +22,20 @@ LARGEST = 1e8
 """A task's number beyond ±this is taken for a fault: one in the warm-up would scale all others to
 nothing. MuJoCo's robots read hundreds, a 24-bit encoder 1.7e7, hydraulics in Pa 5e7."""
 FAULTY = f"not within ±{LARGEST:g}"
-"""How messages tell that it is the task that has to be mended."""
-
-
-class ReadingError(ValueError):
-    """A task gave an observation or a reward that is NaN, or too large, to some `members`."""
-
-    def __init__(self, env_id: str, members: Sequence[int]) -> None:
-        super().__init__(f"an observation or reward of {env_id} is {FAULTY}: mend it")
-        self.members = members
+"""How messages say so."""
 
 
 def faulty(reading: np.ndarray) -> np.ndarray:
     """Return which numbers of a task, observations or rewards, are NaN or beyond ±`LARGEST`."""
     return ~(np.abs(reading) <= LARGEST)
+
+
+def require_sound(env_id: str, when: str, **given: np.ndarray) -> None:
+    """Raise ValueError, with the number, if a task gives one that is `faulty`."""
+    for name, reading in given.items():
+        for i, *place in np.argwhere(faulty(reading)).tolist():
+            found = f"{name}{place or ''} is {reading[i, *place]:.6g}, {FAULTY}"
+            raise ValueError(f"{env_id} is at fault in {when}: its {found}; mend it")
 
 
 class Episodes(NamedTuple):
@@ -138,8 +138,8 @@ def rollout(
     The task need not be the one the policy was trained on. The same seeds, one for each member,
     give the same episodes (see `episode_seeds`, also for `purpose` and `first`); with more threads,
     for the physics and PyTorch, they are rounded otherwise. Actions are modes unless `sample` is
-    set. It is a ValueError if seeds, policy and task do not fit, or an episode does not end, and a
-    ReadingError if an observation or a reward of the task is NaN, or beyond ±`LARGEST`.
+    set. It is a ValueError if seeds, policy and task do not fit, if an episode does not end, or if
+    the task gives an observation or a reward that is NaN, or beyond ±`LARGEST`.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):
@@ -151,7 +151,9 @@ def rollout(
     rng, action_dim = Rng(each, device), policy.actor.action_dim
     steps: list[tuple[np.ndarray, ...]] = []
     running = np.ones(len(each), bool)
-    with _torch_threads(num_threads), closing(env):
+    with closing(env), ExitStack() as afterwards:
+        afterwards.callback(torch.set_num_threads, torch.get_num_threads())
+        torch.set_num_threads(num_threads)
         require_fit(policy, env)
         obs, _ = env.reset()
         while running.any():
@@ -160,9 +162,8 @@ def rollout(
             noise = rng.normal(action_dim).view(*shape, -1) if sample else None
             action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
             next_obs, reward, terminated, truncated, _ = env.step(action)
-            broken = running & (faulty(next_obs).any(1) | faulty(reward))
-            if broken.any():
-                raise ReadingError(env_id, np.unique(np.flatnonzero(broken) // episodes).tolist())
+            seen = {"observation": next_obs[running], "reward": reward[running]}
+            require_sound(env_id, f"step {len(steps)} of an episode", **seen)
             steps.append((obs, action, next_obs, reward, running & terminated, running))
             done = terminated | truncated
             running, obs = running & ~done, next_obs
@@ -175,13 +176,3 @@ def rollout(
     )
     mask, ended = alive[..., None], terminated.max(-1)
     return Episodes(obs * mask, action * mask, next_obs * mask, reward * alive, ended, alive)
-
-
-@contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

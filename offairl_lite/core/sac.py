@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from offairl_lite.config import SACConfig, TD3Config
-from offairl_lite.core.absorbing import analytic_return, hold_still, is_absorbing
+from offairl_lite.core.absorbing import analytic_return, is_absorbing
 from offairl_lite.core.acceleration import is_large, piecewise
 from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
 from offairl_lite.core.policies import make_actor
@@ -125,8 +125,15 @@ class OffPolicy:
         return torch.where(is_absorbing(next_obs), known, y)
 
     def still(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
-        """Return actions and log π, with 0 for both in the absorbing state."""
-        return decided if self.absorbing == "none" else hold_still(obs, *decided)
+        """Return actions (as `pre_tanh`) and log π, with 0 for both in the absorbing state.
+
+        What is done there is done with certainty, and no gradient comes back from it.
+        """
+        if self.absorbing == "none":
+            return decided
+        ended = is_absorbing(obs)
+        masks = (ended.unsqueeze(-1) if x.ndim > ended.ndim else ended for x in decided)
+        return tuple(x.masked_fill(mask, 0) for x, mask in zip(decided, masks, strict=True))
 
 
 class SAC(OffPolicy):

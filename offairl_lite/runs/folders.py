@@ -27,7 +27,6 @@ from offairl_lite.core.loop import Trainer, complete, train
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import FAULTY
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs import checkpoints, inputs, jobs, records
 from offairl_lite.runs.records import RunSpec, again, origin, read_state, run_folders, write_json
@@ -141,12 +140,10 @@ class _Worker:
         # The step of the last checkpoint, and the steps and updates before it.
         self.step, self.saved, self.start = 0, 0, time.monotonic()
         self.checksums = checkpoints.Checksums(trainer.collector.replay)
-        self.lost: set[int] = set()  # Seeds that had been given up at the checkpoint.
 
     def restore(self, found: tuple[dict[str, Any], dict[str, Any]]) -> None:
         """Go back to a checkpoint; note versions or a machine that are not those of before."""
         checkpoints.restore(self.folder, self.trainer, found, self.checksums)
-        self.lost = {*self.trainer.members.diverged}
         self.start -= found[1]["wall_s"]
         self.step, self.saved = self.trainer.steps, self.done
         now, about = origin(self.trainer.execution), read_state(self.folder)
@@ -168,7 +165,6 @@ class _Worker:
                 complete(self.trainer, progress, self.keep)
                 state = FINISHED
             except FloatingPointError:
-                self.require_readings()
                 state = DIVERGED
             # Whoever diverges before the warm-up is over has no policy yet.
             for result in (self.trainer.policy, self.trainer.reward):
@@ -183,15 +179,8 @@ class _Worker:
             error.add_note(f"{again(self.folder, self.spec)} goes on from step {self.step}")
             raise
 
-    def require_readings(self) -> None:
-        """Raise ValueError if the task has given up a member since the last checkpoint."""
-        lost = self.trainer.members.diverged
-        if why := [lost[seed] for seed in lost if FAULTY in lost[seed] and seed not in self.lost]:
-            raise ValueError("; ".join(why))
-
     def keep(self, rows: list[Row]) -> None:
         """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
-        self.require_readings()
         if rows:
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))

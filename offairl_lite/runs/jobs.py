@@ -98,7 +98,8 @@ def execute(
                 for future in ended:
                     future.result()
                 done = len(folders) - len(waiting) - len(failures)
-                now = sum(map(_step, folders)), f"{done} done, {len(failures)} failed"
+                step = sum(_from(folder / "run.json").get("step", 0) for folder in folders)
+                now = step, f"{done} done, {len(failures)} failed"
                 # A clock that ticks is welcome on a terminal, and fills a log file.
                 if sys.stderr.isatty() or now != shown:
                     bar.n, shown = now[0], now
@@ -207,11 +208,6 @@ def _task(folder: Path, command: list[str], expected: str) -> str:
     # Ray's workers hold SIGINT back, and a child would inherit that.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     return _child(folder, command, threading.Event())
-
-
-def _step(folder: Path) -> int:
-    """Return the step of a run's last checkpoint."""
-    return _from(folder / "run.json").get("step", 0)
 
 
 def _from(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from offairl_lite.core import collector
-from offairl_lite.core.loop import Trainer, train
+from offairl_lite.core.loop import Trainer, complete, train
 
 HOPPER = "Hopper-v5"
 ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
@@ -176,7 +176,7 @@ def faulty():
     gymnasium.registry.pop("Faulty-v0")
 
 
-def test_a_first_observation_that_is_no_number_costs_one_member_too(faulty, tiny, monkeypatch):
+def test_a_first_observation_that_is_no_number_is_named_too(faulty, tiny, monkeypatch):
     def reset(self, *, seed=None, options=None):
         gymnasium.Env.reset(self, seed=seed)
         self.ill = self.ill if seed is None else self.np_random.integers(2) == 1
@@ -185,23 +185,29 @@ def test_a_first_observation_that_is_no_number_costs_one_member_too(faulty, tiny
 
     monkeypatch.setattr(Faulty, "reset", reset)
     config = tiny.change(env_id=faulty, reward="environment", update_every=20)
-    with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
-        result = run(config, range(6))
-    assert 0 < len(result.diverged) < 6
-    assert all("mend Faulty-v0" in why for why in result.diverged.values())
+    found = r"Faulty-v0 is at fault in step 9: its observation\[0\] is nan, not within ±1e\+08"
+    with pytest.raises(ValueError, match=found):
+        run(config, range(6))
 
 
 @pytest.mark.parametrize("warmup_steps", [20, 100])
-def test_a_task_that_gives_no_numbers_is_named_and_costs_one_member(faulty, tiny, warmup_steps):
+def test_a_task_that_gives_no_numbers_is_named(faulty, tiny, warmup_steps):
     changes = {"env_id": faulty, "reward": "environment", "update_every": 20}
     config = tiny.change(**changes, warmup_steps=warmup_steps)
-    with pytest.warns(UserWarning, match=r"seed . diverged by step .*mend Faulty-v0"):
-        result = run(config, range(6))
-    assert 0 < len(result.diverged) < 6
-    for why in result.diverged.values():
-        assert "its observation[0] is nan, not within ±1e+08; mend Faulty-v0" in why
-    assert len(result.rows) == 2 * (6 - len(result.diverged))
-    assert all(np.isfinite(row.metrics["critic_loss"]) for row in result.rows)
+    found = r"Faulty-v0 is at fault in step 10: its observation\[0\] is nan, not within ±1e\+08"
+    with pytest.raises(ValueError, match=found):
+        run(config, range(6))
+
+
+def test_what_a_task_gives_to_a_member_that_was_given_up_does_not_matter(faulty, tiny):
+    config = tiny.change(env_id=faulty, reward="environment", update_every=20)
+    trainer = Trainer(config, range(6))
+    ill = torch.tensor([env.unwrapped.ill for env in trainer.collector.env.envs])
+    with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is red"):
+        trainer.members.give_up(ill, 0, "eye is red")
+    rows = complete(trainer, progress=False).rows
+    assert {row.seed for row in rows} == {*torch.nonzero(~ill).flatten().tolist()}
+    assert all(np.isfinite(row.metrics["critic_loss"]) for row in rows)
 
 
 def test_environments_are_closed(faulty, tiny, monkeypatch):

@@ -233,7 +233,7 @@ def test_each_implementation_pays_what_it_says(number):
     expected = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
     if number in (1, 2):
         expected = discriminator.f(discriminator.seen(batch)) - log_prob
-    torch.testing.assert_close(discriminator.reward(batch, log_prob), expected.detach())
+    torch.testing.assert_close(discriminator.reward(batch, lambda _: log_prob), expected.detach())
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -241,7 +241,7 @@ def test_log_prob_may_be_left_to_the_learner(number):
     config = CORRECTED.change(reward=f"implementation-{number}", **SMALL)
     batch, _, log_prob, *_ = data()
     with_it, without = (
-        make(config.change(log_prob_in_reward=there)).reward(batch, log_prob)
+        make(config.change(log_prob_in_reward=there)).reward(batch, lambda _: log_prob)
         for there in (True, False)
     )
     torch.testing.assert_close(with_it, without - log_prob.detach())
@@ -252,7 +252,7 @@ def test_a_discriminator_without_the_policy_pays_what_its_logit_is_worth(name):
     discriminator, batch = make(CONFIGS["dac"].change(reward=name)), data()[0]
     logit = discriminator.f(discriminator.seen(batch))
     expected = OF_LOGIT[name](logit).detach()
-    torch.testing.assert_close(discriminator.reward(batch, None), expected)
+    torch.testing.assert_close(discriminator.reward(batch, pytest.fail), expected)
     # What is kept of it is the logit, whatever is made of it.
     torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), logit.detach())
 
@@ -291,7 +291,7 @@ def test_log_odds_of_a_trajectory_are_those_of_its_density():
 
 def test_each_step_of_a_trajectory_is_paid_its_share_of_the_log_odds():
     discriminator, (batch, _, log_prob, *_) = make(CONFIGS["gan-gcl"]), data()
-    paid = discriminator.reward(batch, log_prob)
+    paid = discriminator.reward(batch, lambda _: log_prob)
     r = discriminator.frozen(batch.obs, batch.action)
     torch.testing.assert_close(paid, r - log_prob.detach())
 
@@ -343,7 +343,7 @@ def test_training_tells_the_sides_apart():
     # The expert's label is 1: its logits, and with them its rewards, are the higher ones.
     assert (metrics["expert_logit"] > 0.5).all()
     assert (metrics["policy_logit"] < -0.5).all()
-    paid = [discriminator.reward(side, same).mean(1) for side in (expert, policy)]
+    paid = [discriminator.reward(side, lambda _: same).mean(1) for side in (expert, policy)]
     assert (paid[0] > paid[1]).all()
 
 
@@ -373,7 +373,7 @@ def test_what_is_frozen_is_the_reward_that_the_discriminator_has(name):
     discriminator, batches = make(CONFIGS[name], dtype=torch.float32), data(dtype=torch.float32)
     discriminator.update(*batches)
     batch, _, log_prob, *_ = batches
-    paid = discriminator.reward(batch, log_prob)
+    paid = discriminator.reward(batch, lambda _: log_prob)
     paid = paid + log_prob if discriminator.reward_is_logit else paid
     torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), paid)
 
@@ -420,5 +420,5 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
 
 def test_a_reward_of_the_state_needs_no_action():
     discriminator, batch = make(CONFIGS["r(s)"]), data()[0]
-    expected = discriminator.reward(batch, None)
+    expected = discriminator.reward(batch, pytest.fail)
     torch.testing.assert_close(discriminator.frozen(batch.obs), expected)

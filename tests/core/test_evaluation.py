@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from offairl_lite.core.loop import train
-from offairl_lite.core.rollouts import ReadingError, rollout
+from offairl_lite.core.rollouts import rollout
 
 HOPPER = "Hopper-v5"
 run = partial(train, progress=False)
@@ -38,19 +38,3 @@ def test_the_learned_return_is_the_sum_of_the_reward_along_the_episode(tiny, fro
 def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
     often, rarely = (run(tiny.change(eval_every=n), (0,), maze) for n in (50, 200))
     assert torch.equal(often.policy.params, rarely.policy.params)
-
-
-def test_what_an_evaluation_cannot_count_costs_one_member(tiny, monkeypatch):
-    def broken(policy, env_id, seeds, *given, **more):
-        if 5 in seeds:
-            raise ReadingError(env_id, [seeds.index(5)])
-        return rollout(policy, env_id, seeds, *given, **more)
-
-    monkeypatch.setattr("offairl_lite.core.evaluation.rollout", broken)
-    with pytest.warns(UserWarning, match=r"seed 5 diverged by step .*mend offairl/PointMazeLeft"):
-        result = run(tiny.change(reward="environment"), (3, 5, 7))
-    assert list(result.diverged) == [5]
-    assert {row.seed for row in result.rows} == {3, 7}
-    monkeypatch.undo()
-    whole = run(tiny.change(reward="environment"), (3, 5, 7))
-    assert [row.returns for row in result.rows] == [r.returns for r in whole.rows if r.seed != 5]

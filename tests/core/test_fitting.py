@@ -81,7 +81,8 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
     seen, rewarded = record(Discriminator, "update"), record(Discriminator, "reward")
     config = tiny.change(reward="implementation-1", loss="mixture", replay_size=size)
     run(config, (0,), maze)
-    for densities in [(args[2], args[3]) for args in seen], [(args[1],) for args in rewarded]:
+    paid = [(log_density(batch),) for batch, log_density in rewarded]
+    for densities in [(args[2], args[3]) for args in seen], paid:
         for given, w in (densities[0], 1.0), (densities[-1], share):
             expected = math.log(w / 4) if w else -1e4
             torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
@@ -166,4 +167,6 @@ def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, rec
     until(trainer, lambda t: t.trained == 50)
     there, zero = absorbing.absorbing_state(torch.empty(2, 1, 12)), torch.zeros(2, 1)
     own = Batch(there, torch.zeros(2, 1, 3), there, zero, zero)
-    torch.testing.assert_close(updates[-1][2], 2 * trainer.models.discriminator.reward(own, zero))
+    torch.testing.assert_close(
+        updates[-1][2], 2 * trainer.models.discriminator.reward(own, lambda _: zero)
+    )

@@ -94,8 +94,16 @@ class Endless(gymnasium.Env):
     [
         (0.0, 3, None),
         (0.0, 2, r"Endless-v0 has not ended after 2 steps.*max_episode_steps"),
-        (np.nan, 3, "observation or reward of Endless-v0 is not within"),
-        (1e9, 3, "observation or reward of Endless-v0 is not within"),
+        (
+            np.nan,
+            3,
+            r"Endless-v0 is at fault in step . of an episode: its observation\[0\] is nan",
+        ),
+        (
+            1e9,
+            3,
+            r"Endless-v0 is at fault in step . of an episode: its observation\[0\] is 1e\+09",
+        ),
     ],
 )
 def test_what_a_task_may_not_do_is_named(at_end, longest, message, monkeypatch):
@@ -107,10 +115,8 @@ def test_what_a_task_may_not_do_is_named(at_end, longest, message, monkeypatch):
         if message is None:
             assert rollout(policy, "Endless-v0", SEEDS, 9).lengths.max() == longest
             return
-        with pytest.raises(ValueError, match=message) as raised:
+        with pytest.raises(ValueError, match=message):
             rollout(policy, "Endless-v0", SEEDS, 9)
-        if np.isnan(at_end):
-            assert set() < {*raised.value.members} <= {*range(len(SEEDS))}
     finally:
         gymnasium.registry.pop("Endless-v0")
 

@@ -767,7 +767,7 @@ def test_a_run_that_ends_within_its_warm_up_says_why(folder, plain, monkeypatch)
     monkeypatch.setattr(
         Collector,
         "step",
-        lambda self, _: self.members.give_up(torch.ones(2) > 0, self.steps, "eye is red", "look"),
+        lambda self, _: self.members.give_up(torch.ones(2) > 0, self.steps, "eye is red"),
     )
     create(folder, plain, SEEDS)
     with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is red"):

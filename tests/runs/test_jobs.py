@@ -232,7 +232,9 @@ def test_an_interrupt_leaves_nobody_behind(number, engine, prepare, tmp_path):
     with open(tmp_path / "said", "w") as said:
         process = subprocess.Popen([sys.executable, str(main)], stderr=said)
     try:
-        wait_for(lambda: all(jobs._step(folder) == 20 for folder in todo[:2]))
+        wait_for(
+            lambda: all(jobs._from(folder / "run.json").get("step") == 20 for folder in todo[:2])
+        )
         pids = [pid for folder in todo[:2] for pid in attempts(folder)]
         assert all(map(lives, pids))
         process.send_signal(number)
