@@ -22,8 +22,8 @@ _DEMO = _FULL.change(
     eval_episodes=2,
 )
 
-# Demonstrations of one expert, at demo scale: the records there were made when there was one.
-_robot = partial(experiment, {"demo": _DEMO, "full": _FULL}, experts={"demo": 1, "full": None})
+# Demonstrations of the experts that there were when the records were made: one, and later two.
+_robot = partial(experiment, {"demo": _DEMO, "full": _FULL}, experts={"demo": 1, "full": 2})
 
 # In less the ant learns nothing, and five seeds of it take hours.
 _ANT_DEMO: Changes = {"total_steps": 50_000, "eval_every": 5_000}
