@@ -118,7 +118,7 @@ CLAIMS = {
         "The transfer to PointMazeRight works, with high variance.",
         (
             Comparison(
-                "old policy: more arrive than before retraining",
+                "old policy: more arrive than at the first evaluation",
                 "arrives",
                 f"{MAZE}policy",
             ),

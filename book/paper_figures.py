@@ -4,8 +4,7 @@ Beside the exact log π of the paper's logit stands the density of the
 replay, without its tail (`DiscriminatorConfig.loss`), and the same with the
 temperature of the logit, 1. The paper's random starts are by an expert;
 those by the imitator stand beside them. The paper draws SAC beside the gate
-as well; SAC has no gate, and stands beside gate and primitives alone. DAC
-on Hopper is an experiment of its own, with the α of the paper.
+as well; SAC has no gate, and stands beside gate and primitives alone.
 """
 
 from collections.abc import Mapping
@@ -73,7 +72,7 @@ FIGURES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         }
         for panel in ("CustomAnt, true return", "CustomAnt, learned return")
     },
-    # By the recipe; Ant has not been run so yet.
+    # By the recipe.
     "off-policy AIRL and DAC": {
         task: {
             "off-policy AIRL": f"locomotion/{task}-airl",

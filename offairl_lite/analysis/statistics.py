@@ -5,6 +5,7 @@ successes by proportions with Wilson's interval and by exact tests of 2 × 2 tab
 """
 
 import math
+from collections.abc import Callable
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -67,18 +68,20 @@ def bootstrap_interval(values: Float[np.ndarray, "N ..."]) -> tuple[np.ndarray, 
 
 
 def difference(
-    one: Float[np.ndarray, "N"], other: Float[np.ndarray, "M"]
+    one: Float[np.ndarray, "N"],
+    other: Float[np.ndarray, "M"],
+    statistic: Callable[[np.ndarray], np.ndarray] = interquartile_mean,
 ) -> tuple[float, float, float]:
-    """Return by how much the interquartile mean of some runs is above that of others.
+    """Return by how much a statistic of some runs' returns is above that of others.
 
     With it come the ends of its percentile bootstrap interval over the seeds of both; a single seed
     tells nothing of others, and leaves the interval without ends.
     """
-    found = float(interquartile_mean(one) - interquartile_mean(other))
+    found = float(statistic(one) - statistic(other))
     if min(len(one), len(other)) < 2:
         return found, -np.inf, np.inf
     (x, y), probability = _resamples(len(one), len(other))
-    drawn = interquartile_mean(one[x.T]) - interquartile_mean(other[y.T])
+    drawn = statistic(one[x.T]) - statistic(other[y.T])
     low, high = _percentiles(drawn, probability)
     return found, float(low), float(high)
 

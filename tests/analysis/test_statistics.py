@@ -1,5 +1,6 @@
 import itertools
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -44,17 +45,19 @@ def test_the_interval_is_that_of_resampled_means():
     assert low < interquartile_mean(values) < high
 
 
-def test_a_difference_has_the_interval_of_resampled_differences():
+interquartile_range = partial(scipy.stats.iqr, axis=0)
+
+
+@pytest.mark.parametrize("statistic", [interquartile_mean, interquartile_range])
+def test_a_difference_is_that_of_the_statistics_with_the_interval_of_resampled_ones(statistic):
     rng = np.random.default_rng(0)
     one, other = rng.normal(1, 3, size=12), rng.normal(size=20)
-    found, low, high = difference(one, other)
-    assert found == pytest.approx(interquartile_mean(one) - interquartile_mean(other))
-    drawn = [
-        interquartile_mean(x[rng.integers(len(x), size=(20_000, len(x)))].T) for x in (one, other)
-    ]
+    found, low, high = difference(one, other, statistic)
+    assert found == pytest.approx(statistic(one) - statistic(other))
+    drawn = [statistic(x[rng.integers(len(x), size=(20_000, len(x)))].T) for x in (one, other)]
     expected = np.quantile(drawn[0] - drawn[1], [0.025, 0.975])
     np.testing.assert_allclose([low, high], expected, atol=0.1)
-    back = difference(other, one)
+    back = difference(other, one, statistic)
     np.testing.assert_allclose(back, (-found, -high, -low), atol=0.1)
 
 
@@ -118,9 +121,10 @@ def resampled_pairs(one, other, found):
 def test_the_interval_of_a_difference_of_few_is_that_of_all_resamples():
     rng = np.random.default_rng(2)
     one, other = rng.normal(1, 2, size=4), rng.normal(size=3)
-    every = resampled_pairs(one, other, lambda x, y: interquartile_mean(x) - interquartile_mean(y))
-    _, low, high = difference(one, other)
-    np.testing.assert_allclose([low, high], middle(every))
+    for statistic in (interquartile_mean, interquartile_range):
+        every = resampled_pairs(one, other, lambda x, y, of=statistic: of(x) - of(y))
+        _, low, high = difference(one, other, statistic)
+        np.testing.assert_allclose([low, high], middle(every))
 
 
 def test_the_interval_of_a_probability_of_few_is_that_of_all_resamples():
