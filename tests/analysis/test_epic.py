@@ -122,3 +122,13 @@ def test_what_is_nothing_but_shaping_has_no_distance(size, dtype):
 def test_a_constant_has_no_correlation():
     with pytest.raises(ValueError, match="the same for all transitions"):
         pearson_distance(torch.ones(3), torch.arange(3.0))
+
+
+def test_the_canonical_form_takes_its_means_over_the_samples():
+    table = random_table(2)
+    samples = Transitions(*(torch.tensor([x]).T for x in ([0, 3], [2, 1], [1, 1])))
+    mean_from = (table[:, 2, 1] + table[:, 1, 1]) / 2
+    mean = (table[0, 2, 1] + table[3, 1, 1]) / 2
+    expected = table + GAMMA * mean_from.view(1, 1, -1) - mean_from.view(-1, 1, 1) - GAMMA * mean
+    ours = canonical(table_reward(table), everywhere(), samples, GAMMA)
+    torch.testing.assert_close(ours, expected.flatten())

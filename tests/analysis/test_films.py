@@ -1,8 +1,11 @@
 import gymnasium
+import imageio_ffmpeg
 import mujoco
 import numpy as np
 import pytest
+import torch
 
+from offairl_lite import envs
 from offairl_lite.analysis import films as video
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian
@@ -152,3 +155,23 @@ def test_a_film_in_a_page_carries_its_own_bytes():
     assert "data:video/mp4;base64," in html
     assert "<figcaption>The maze.</figcaption>" in html
     assert "http" not in html.split("base64,")[0]
+
+
+def test_a_film_is_of_the_policy_s_own_episode():
+    ant, actor = "offairl/CustomAnt-v0", policy(obs_dim=111, action_dim=8)
+    env = envs.make(ant, 1, 3, render_mode="rgb_array")
+    obs, _ = env.reset()
+    expected = [env.render()[0]]
+    for _ in range(5):
+        seen = torch.as_tensor(obs, dtype=torch.float32)[:, None]
+        obs, *_ = env.step(actor.act(seen)[:, 0].numpy())
+        expected.append(env.render()[0])
+    np.testing.assert_array_equal(video.frames(actor, ant, seed=3, max_steps=5), expected)
+
+
+@pytest.mark.parametrize("fps", [5, 20])
+def test_a_film_is_as_fast_as_it_is_told(fps, tmp_path):
+    (tmp_path / "film.mp4").write_bytes(video.mp4(np.zeros((20, 32, 48, 3), np.uint8), fps))
+    frames = imageio_ffmpeg.read_frames(tmp_path / "film.mp4")
+    assert next(frames)["fps"] == fps
+    frames.close()

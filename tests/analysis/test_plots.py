@@ -10,7 +10,7 @@ from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_m
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
-from offairl_lite.envs.models import GOAL
+from offairl_lite.envs.models import GOAL, START
 
 
 @pytest.fixture
@@ -36,9 +36,9 @@ def test_a_curve_is_the_interquartile_mean_its_band_and_every_member(ax, members
     np.testing.assert_array_equal([line.get_ydata() for line in each], returns)
     # Only the mean has an entry in the legend.
     assert ax.get_legend_handles_labels()[1] == ["imitation"]
-    corners = ax.collections[0].get_paths()[0].vertices[:, 1]
-    low, high = bootstrap_interval(returns)
-    assert (corners.min(), corners.max()) == (low.min(), high.max())
+    x, y = ax.collections[0].get_paths()[0].vertices.T
+    for step, *ends in zip(steps, *bootstrap_interval(returns), strict=True):
+        assert [y[x == step].min(), y[x == step].max()] == ends
 
 
 def test_a_level_is_drawn_where_it_is_and_named(ax):
@@ -73,7 +73,8 @@ def test_a_maze_has_its_walls_its_start_and_its_goal(ax, side):
     # The barrier leaves its gap on the other side: Left's on the right.
     barrier = next(w for w in walls if np.allclose(w[:, 1], 0.3))
     np.testing.assert_allclose(sorted(barrier[:, 0]), [-0.1, 0.4] if side == "Left" else [0.2, 0.6])
-    np.testing.assert_allclose(ax.lines[1].get_xydata()[0], GOAL[:2])
+    for marker, place in zip(ax.lines, (START, GOAL), strict=True):
+        np.testing.assert_allclose(marker.get_xydata()[0], place[:2])
 
 
 @pytest.mark.parametrize("colorbar", [False, True])

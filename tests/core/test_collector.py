@@ -215,3 +215,12 @@ def test_environments_are_closed(faulty, tiny, monkeypatch):
     with closing(Trainer(tiny.change(env_id=faulty, reward="environment"), range(4))):
         pass
     assert Faulty.closed == 4
+
+
+def test_warm_up_actions_are_uniform(tiny):
+    trainer = Trainer(tiny.change(reward="environment"), range(10))
+    for _ in range(100):
+        trainer.collector.step(None)
+    actions = torch.tanh(trainer.collector.replay.last(100).pre_tanh).flatten()
+    quarters = torch.histc(actions, 4, -1, 1) / actions.numel()
+    torch.testing.assert_close(quarters, torch.full((4,), 0.25), rtol=0, atol=0.04)

@@ -25,6 +25,7 @@ from offairl_lite.core.discriminator import (
     Discriminator,
     Transitions,
     airl_loss,
+    diagnostics,
     entropy,
     per_episode,
     shaped_reward,
@@ -422,3 +423,12 @@ def test_a_reward_of_the_state_needs_no_action():
     discriminator, batch = make(CONFIGS["r(s)"]), data()[0]
     expected = discriminator.reward(batch, pytest.fail)
     torch.testing.assert_close(discriminator.frozen(batch.obs), expected)
+
+
+def test_diagnostics_by_hand():
+    expert, policy = torch.tensor([[2.0, -1.0, 3.0, 0.5]]), torch.tensor([[-4.0, 1.0, 2.0, -0.5]])
+    found = diagnostics(airl_loss(expert, policy, torch.ones(1, 4), 10.0), expert, policy)
+    assert found["accuracy"].item() == (3 / 4 + 2 / 4) / 2
+    assert (found["expert_logit"].item(), found["policy_logit"].item()) == (4.5 / 4, -1.5 / 4)
+    both = torch.distributions.Bernoulli(logits=torch.cat([expert, policy], 1)).entropy()
+    torch.testing.assert_close(found["entropy"], both.mean(1))

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from offairl_lite.core.evaluation import learned_returns
 from offairl_lite.core.loop import train
+from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 
 HOPPER = "Hopper-v5"
@@ -38,3 +42,15 @@ def test_the_learned_return_is_the_sum_of_the_reward_along_the_episode(tiny, fro
 def test_the_evaluation_s_own_members_do_not_disturb_the_training(tiny, maze):
     often, rarely = (run(tiny.change(eval_every=n), (0,), maze) for n in (50, 200))
     assert torch.equal(often.policy.params, rarely.policy.params)
+
+
+def test_the_learned_return_is_of_the_states_and_actions_of_the_episode(frozen_reward):
+    reward, actor = frozen_reward(2, HOPPER, 11, action_dim=3), SquashedGaussian(11, 3, (8,))
+    policy = Policy(HOPPER, actor, actor.init(Rng((3, 7))), Normaliser.identity(2, 11))
+    episodes = rollout(policy, HOPPER, (3, 7), 4)
+    learned = learned_returns(episodes, reward)
+    for s, e in np.ndindex(2, 4):
+        steps = np.arange(episodes.lengths[s, e])
+        parts = episodes.obs[s, e, steps], episodes.action[s, e, steps]
+        paid = reward.member(s)(*(torch.tensor(x, dtype=torch.float32)[None] for x in parts))
+        assert learned[s, e] == pytest.approx(paid.sum().item(), rel=1e-4)

@@ -170,3 +170,27 @@ def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, rec
     torch.testing.assert_close(
         updates[-1][2], 2 * trainer.models.discriminator.reward(own, lambda _: zero)
     )
+
+
+def test_all_demonstrations_are_shown_alike_and_the_penalty_is_anywhere_between(
+    tiny, maze, record, until
+):
+    seen = record(Discriminator, "update")
+    until(Trainer(tiny, (0, 1), maze), lambda t: len(seen) == 100)
+    shown, half = maze.transitions.obs, len(maze.transitions.obs) // 2
+    for member in torch.cat([expert.obs for expert, *_ in seen], 1):
+        drawn = (member.unsqueeze(1) == shown).all(-1)
+        assert drawn.any(1).all()
+        assert drawn.any(0).float().mean() > 0.9  # Of 200, in 800 draws.
+        assert abs(drawn[:, :half].any(1).float().mean() - 0.5) < 4 * (0.25 / 800) ** 0.5
+    share = torch.cat([coefficient for *_, coefficient in seen], 1)[..., 0].flatten()
+    quarters = torch.histc(share, 4, 0, 1) / share.numel()
+    torch.testing.assert_close(quarters, torch.full((4,), 0.25), rtol=0, atol=0.05)
+
+
+def test_a_frozen_reward_is_scaled_as_well(tiny, frozen_reward, record):
+    seen, reward = record(SAC, "update"), frozen_reward(1, action_dim=2)
+    run(tiny.change(reward="frozen", reward_scale=3.0), (0,), None, reward)
+    assert seen
+    for batch, paid, *_ in seen:
+        torch.testing.assert_close(paid, 3 * reward(batch.obs, batch.action))

@@ -14,6 +14,7 @@ from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.loop import Trainer, complete, train
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.ppo import EPOCHS, PPO
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
@@ -514,3 +515,52 @@ def test_a_state_of_another_run_is_refused(tiny, maze):
         Trainer(tiny, (0,), maze).restore(state)
     with pytest.raises(ValueError, match="not a state of this run: 'counts'"):
         Trainer(tiny, (0,), maze).restore({})
+
+
+MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
+BOTTLENECK = {"ablation": "bottleneck"}
+
+
+@pytest.mark.parametrize(
+    ("base", "change"),
+    [
+        ({}, {"discount": 0.5}),
+        ({}, {"learning_rate": 1e-2}),
+        ({}, {"target_rate": 0.5}),
+        ({}, {"temperature": 0.7}),
+        ({}, {"log_std_range": (-2.0, 1.0)}),
+        ({}, {"reward_scale": 3.0}),
+        ({}, {"centre_reward": True}),
+        ({}, {"discriminator_discount": 0.5}),
+        ({}, {"discriminator_activation": "relu"}),
+        ({}, {"reward_hidden": (6,)}),
+        ({}, {"shaping_hidden": (6,)}),
+        ({}, {"gradient_penalty": 1.0}),
+        ({}, {"discriminator_updates": 3}),
+        (MCP, {"gating": "sigmoid"}),
+        (MCP, {"gate_hidden": (6,)}),
+        ({**MCP, "learner": "sac-released"}, {"gating": "softplus"}),
+        (ON_POLICY, {"discount": 0.5}),
+        (ON_POLICY, {"temperature": 0.7}),
+        (ON_POLICY, {"learning_rate": 1e-2}),
+        (BOTTLENECK, {"bottleneck_size": 3}),
+        (BOTTLENECK, {"bottleneck_rate": 1.0}),
+    ],
+    ids=str,
+)
+def test_a_setting_that_is_given_is_heard(tiny, maze, base, change):
+    config = tiny.change(**base)
+    one, other = (run(c, (0,), maze).policy for c in (config, config.change(**change)))
+    obs = Rng((0,)).normal(5, 3)
+    assert not torch.equal(one.act(obs), other.act(obs))
+
+
+def test_ppo_goes_through_its_block_ten_times_each_step_once(tiny, record):
+    updates = record(PPO, "update")
+    run(tiny.change(reward="environment", **ON_POLICY), (0,))
+    assert len(updates) == 2 * 10 * 7  # 50 steps are six minibatches of 8, and one of 2.
+    for epoch in range(20):
+        parts = updates[7 * epoch : 7 * (epoch + 1)]
+        assert len(torch.cat([rows.pre_tanh[0] for rows, _ in parts]).unique(dim=0)) == 50
+    noise = torch.cat([eps.flatten() for _, eps in updates])
+    assert abs(noise.std() - 1) < 0.1

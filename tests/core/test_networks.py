@@ -172,3 +172,15 @@ def test_weights_come_back_from_a_file(tmp_path):
     loaded, about = load_weights(tmp_path / "new" / "x.safetensors", "thing")
     assert torch.equal(loaded["a"], tensors["a"])
     assert about == {"kind": "thing", "n": [1, 2]}
+
+
+def test_descend_remembers_earlier_gradients_as_adam_does():
+    params = Rng((0, 1)).normal(5)
+    reference = params.clone().requires_grad_()
+    optimizer, plain = Adam(params, 0.1), torch.optim.Adam([reference], lr=0.1)
+    for k in range(20):
+        descend((params - k % 3).square().sum(), optimizer)
+        plain.zero_grad()
+        (reference - k % 3).square().sum().backward()
+        plain.step()
+    torch.testing.assert_close(params, reference, rtol=1e-4, atol=1e-5)

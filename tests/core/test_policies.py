@@ -228,13 +228,11 @@ def test_a_policy_comes_back_from_a_file(actor, tmp_path):
 
 
 def test_an_actor_of_no_known_type_is_refused(tmp_path, monkeypatch):
-    """An ablation's is unknown until its module is imported."""
     path, known = tmp_path / "policy.safetensors", policies._actors()
     population(ReleasedPolicy(3, 2, (7,))).save(path)
     del known["ReleasedPolicy"]
     monkeypatch.setattr(policies, "_actors", lambda: known)
-    message = r"is 'ReleasedPolicy'; expected one of SquashedGaussian, .*offairl_lite\.ablations"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match="is 'ReleasedPolicy'; expected one of SquashedGaussian, "):
         Policy.load(path)
 
 

@@ -592,3 +592,10 @@ def test_composite_actors_are_trained_together_as_alone():
             update(learner, *data(seeds=(seed,)))
     expected = torch.cat([weights(learner) for learner in alone])
     torch.testing.assert_close(weights(together), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_q_by_hand():
+    learner, (batch, reward, noise) = make(**BY_HAND), data()
+    learner.critic_params.detach().copy_(linear_critics(learner, [4.0, 1.0], [0.0, 0.0]))
+    q = update(learner, batch, reward, noise)["q"]
+    torch.testing.assert_close(q, torch.full((2,), 2.5))

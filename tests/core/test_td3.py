@@ -94,3 +94,10 @@ def test_the_actor_s_target_follows_the_actor():
     update(learner, *data())
     expected = before + 0.005 * (learner.actor_params.detach() - before)
     torch.testing.assert_close(learner.target_actor_params, expected)
+
+
+def test_td3_explores_with_a_standard_deviation_of_a_tenth():
+    learner, (batch, *_) = make(TD3), data()
+    mode = learner.actor.mode(learner.actor_params, batch.obs)
+    u = learner.actor.explore(learner.actor_params, batch.obs, torch.ones_like(mode))
+    torch.testing.assert_close(torch.tanh(u), (mode + 0.1).clamp(max=1), rtol=0, atol=1e-5)

@@ -153,3 +153,11 @@ def test_unreachable_demonstrations_are_refused(horizon):
             learn(0, 3)
     with pytest.raises(ValueError, match="no policy reaches"):
         learn(0, 4)
+
+
+def test_a_fit_stops_after_as_many_steps_as_it_is_told():
+    mdp = random_mdp()
+    demonstrated = occupancy(mdp, random_policy(mdp))
+    few, many = (maxent_irl(mdp, demonstrated, eye_array(6), iterations=n) for n in (2, 500))
+    assert len(few.history) == 3 < len(many.history)
+    np.testing.assert_array_equal(few.history, many.history[:3])

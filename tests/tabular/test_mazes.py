@@ -74,3 +74,8 @@ def test_mazes_that_cannot_be_are_refused():
     for side in ("Up", None):
         with pytest.raises(ValueError, match=f"side is {side!r}; expected one of"):
             maze(10, side)
+
+
+def test_a_maze_has_the_discount_and_the_horizon_that_it_is_given():
+    mdp = maze(5, "Left", discount=0.9, horizon=7).mdp
+    assert (mdp.discount, mdp.horizon) == (0.9, 7)

@@ -70,3 +70,9 @@ def test_demonstrations_of_another_process_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             empirical_occupancy(grid.mdp, Trajectories(np.array(states), np.array(actions)))
+
+
+def test_a_sample_that_is_cut_short_begins_with_the_policy_s_first_steps():
+    policy = np.eye(3)[np.broadcast_to([[0], [1], [2], [0]], (4, 6))]
+    paths = sample(random_mdp(horizon=4), policy, 5, np.random.default_rng(0), 2)
+    np.testing.assert_array_equal(paths.actions, np.tile([0, 1], (5, 1)))
