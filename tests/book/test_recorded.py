@@ -201,6 +201,8 @@ VARIED = {
     "locomotion-first-alpha-1-demo/Hopper-dac": {"eval_every", "temperature"},
     "locomotion-first-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
     "locomotion-first-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
+    "experts-long/Ant-sac-learned": {"warmup_steps"},
+    "experts-long/Hopper-sac-fixed": {"warmup_steps"},
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
