@@ -214,8 +214,8 @@ class SAC:
 def update_critic(sac: SAC, batch: Batch, reward: Vector, noise: Action):
     """Move Q(s, a) towards y."""
     with torch.no_grad():
-        next_action, log_prob = sac.actor.sample(batch.next_obs, noise)
-        next_q = sac.slow_critic(batch.next_obs, next_action)
+        next_u, log_prob = sac.actor.sample(batch.next_obs, noise)
+        next_q = sac.slow_critic(batch.next_obs, next_u)
         value = soft_value(log_prob, next_q, sac.log_alpha.exp())
         y = critic_target(reward, batch.terminated, value, sac.discount)
     q = sac.critic(batch.obs, batch.pre_tanh)
@@ -225,8 +225,8 @@ def update_critic(sac: SAC, batch: Batch, reward: Vector, noise: Action):
 def update_actor(sac: SAC, obs: Obs, noise: Action):
     """Move π to actions of larger value, and its entropy towards H̄."""
     alpha = sac.log_alpha.exp()
-    action, log_prob = sac.actor.sample(obs, noise)
-    loss = actor_loss(log_prob, sac.critic(obs, action), alpha.detach())
+    u, log_prob = sac.actor.sample(obs, noise)
+    loss = actor_loss(log_prob, sac.critic(obs, u), alpha.detach())
     descend(loss, sac.actor_optimizer)
     loss = temperature_loss(alpha, log_prob, sac.target_entropy)
     descend(loss, sac.alpha_optimizer)
