@@ -175,8 +175,8 @@ def load(
         known = minari_storage.local_datasets()
         if dataset_id not in known:
             raise FileNotFoundError(
-                f"Minari has no local data set {dataset_id!r}; it has "
-                f"{', '.join(known) or 'no data set at all'}. "
+                f"Minari has no local data set {dataset_id!r}; in {get_dataset_path()}, which "
+                f"MINARI_DATASETS_PATH can set, is {', '.join(known) or 'no data set at all'}. "
                 f"Download it with `minari download {dataset_id}`, make one of recordings with "
                 "`demonstrations.write`, or have `offairl demos --policy` make one"
             )
@@ -249,13 +249,12 @@ def generate(
         require_actions(policy, units)
         recordings = _sampled(policy, env_id, trajectories, units)
         by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
-        algorithm = type(policy.actor).__name__
     elif callable(policy):
         recordings = _played(policy, env_id, trajectories, units)
-        by, algorithm = f"Episodes of {policy}.", getattr(policy, "__name__", "unknown")
+        by = f"Episodes of {policy}."
     else:
         raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
-    write(recordings, env_id, dataset_id, algorithm=algorithm, description=by)
+    write(recordings, env_id, dataset_id, description=by)
 
 
 def _sampled(policy: Policy, env_id: str, trajectories: int, units: Box) -> list[Recording]:

@@ -57,12 +57,12 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
         self._reward = reward.member(0 if member is None else member).to("cpu")
         (obs_dim,), (action_dim,) = seen.shape, self._units.shape
         sees = reward.normaliser.mean.shape[-1]
-        takes = action_dim if reward.state_only else reward.net.sizes[0] - sees
-        if sees not in (obs_dim, obs_dim + 1) or takes != action_dim:
+        takes = 0 if reward.state_only else reward.net.sizes[0] - sees
+        if sees not in (obs_dim, obs_dim + 1) or takes not in (0, action_dim):
             raise ValueError(
                 f"the reward of {reward.env_id} sees {sees} numbers of an observation (one more "
-                f"where it knows of an absorbing state) and {takes} of an action; {env_id} has "
-                f"{obs_dim} and {action_dim}: wrap a task like {reward.env_id}"
+                f"where it knows of an absorbing state) and {takes or 'none'} of an action; "
+                f"{env_id} has {obs_dim} and {action_dim}: wrap a task like {reward.env_id}"
             )
         discount, self._rest = checked("discount", discount, BelowOne), 0.0
         if sees > obs_dim:

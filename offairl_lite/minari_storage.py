@@ -1,10 +1,11 @@
 """Episodes in Minari's local storage: written, listed, checked against a task, and read."""
 
 import logging
+import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -45,7 +46,6 @@ def write(
     env_id: str,
     dataset_id: str,
     *,
-    algorithm: str = "unknown",
     description: str | None = None,
 ) -> None:
     """Write a Minari data set of episodes from anywhere, under a new name such as `own/arm-v0`.
@@ -67,7 +67,8 @@ def write(
         buffer.append(episode)
     # Minari stores it, so that the data set can be told from data sets of other tasks.
     env.unwrapped.spec = _storable(envs.spec(env_id))
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), ExitStack() as undo:
+        undo.callback(shutil.rmtree, get_dataset_path(dataset_id), ignore_errors=True)
         # Minari asks for an author and a description; this data set stays on this machine.
         unset = "`(code_permalink|author|author_email|description)` is set to None"
         warnings.filterwarnings("ignore", unset)
@@ -78,9 +79,10 @@ def write(
             eval_env=env.unwrapped,
             observation_space=seen,
             action_space=units,
-            algorithm_name=algorithm,
+            algorithm_name="unknown",
             description=description,
         )
+        undo.pop_all()  # It is whole, and stays.
 
 
 def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
@@ -90,6 +92,8 @@ def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuff
         raise TypeError(f"it is a {found}; expected a Recording(obs, action, terminated=...)")
     obs, action, terminated, reward = recording
     checked("terminated", terminated, bool)
+    if action is None:
+        raise TypeError("action is None; expected (T, A), such as zeros if they are not known")
     steps = len(np.atleast_1d(action))
     reward = np.zeros(steps) if reward is None else reward
     arrays = []
@@ -186,7 +190,7 @@ def require_new(dataset_id: str) -> None:
     except (TypeError, ValueError) as error:  # A TypeError if there is no version, such as -v0.
         raise ValueError(
             f"{dataset_id!r} is not a valid name of a Minari data set; expected a name such as "
-            "own/trained-v0"
+            "own/trained-v0: letters, digits, - and _, each part at least two, and a version"
         ) from error
     with storage_errors():
         path = get_dataset_path(dataset_id)
@@ -201,7 +205,8 @@ def require_new(dataset_id: str) -> None:
 def closed_task(env_id: str) -> tuple[gymnasium.Env, Box, Box]:
     """Return a task, closed, and its spaces; see `envs.spec` and `envs.require_boxes`."""
     envs.spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
-    env = gymnasium.make(env_id)
+    with envs.own_code(env_id, "making"):
+        env = gymnasium.make(env_id)
     env.close()
     return env, *envs.require_boxes(env_id, env.observation_space, env.action_space)
 
@@ -230,7 +235,8 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
     for part, shape in shapes.items():
         array = getattr(episode, part)
         found = getattr(array, "shape", type(array).__name__)
-        expect(found == shape, f"{part} of shape {shape}", found)
+        rule = "; T actions go with T + 1 observations" * (part == "observations")
+        expect(found == shape, f"{part} of shape {shape}", f"{found}{rule}")
         expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
         bad = np.argwhere(faulty(array))
         found = f"{len(bad)} {FAULTY}, the first at {bad[:1]}: {array[tuple(bad[:1].T)]}"

@@ -9,10 +9,11 @@ import minari
 import numpy as np
 import pytest
 from minari.data_collector.episode_buffer import EpisodeBuffer
+from minari.storage import get_dataset_path
 from own_task import BOX
 
 from offairl_lite import demonstrations
-from offairl_lite.demonstrations import load
+from offairl_lite.demonstrations import Recording, load, write
 
 MAZE = "offairl/PointMazeLeft-v0"
 
@@ -50,6 +51,21 @@ def test_wrong_data_are_refused_with_what_was_expected_and_what_was_found(
     where = "data set my/pendulum-v0, episode 0, for the task Pendulum-v1: "
     with pytest.raises(ValueError, match=where + message):
         load("Pendulum-v1", 1, "my/pendulum-v0")
+
+
+def test_a_data_set_that_cannot_be_written_whole_is_gone(own, monkeypatch):
+    def full(*_, **__):
+        get_dataset_path("own/part-v0").mkdir(parents=True)
+        raise OSError("No space left on device")
+
+    episode = Recording(np.zeros((3, 2)), np.full((2, 2), 0.5), True)
+    with monkeypatch.context() as context:
+        context.setattr(minari, "create_dataset_from_buffers", full)
+        with pytest.raises(OSError, match="No space left"):
+            write([episode], own("Arm-v0"), "own/part-v0")
+    assert not get_dataset_path("own/part-v0").exists()
+    write([episode], "Arm-v0", "own/part-v0")
+    assert minari.load_dataset("own/part-v0").total_episodes == 1
 
 
 def test_data_of_another_task_are_refused(write_dataset):

@@ -83,6 +83,7 @@ def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
         what = f"{given.dtype} of shape {given.shape}"
         raise ValueError(f"pictures is {what}; expected uint8 of shape (T, H, W, 3), not empty")
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    given = given[:, : given.shape[1] // 2 * 2, : given.shape[2] // 2 * 2]  # As players expect.
     return mediapy.compress_video(given, fps=rate, crf=28, ffmpeg_args="-preset veryfast")
 
 

@@ -61,7 +61,9 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        self.seeds: tuple[int, ...] = checked("seeds", tuple(seeds), tuple[Natural, ...])
+        self.seeds: tuple[int, ...] = checked(
+            "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
+        )
         inherited = Inherited(frozen_reward, pretrained_policy, guide)
         require_inputs(config, self.seeds, demonstrations, inherited)
         self.config, self.schedule = config, config.schedule

@@ -11,6 +11,7 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 """
 
 import importlib
+import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
 
@@ -70,13 +71,16 @@ def spec(env_id: str) -> EnvSpec:
                 importlib.import_module(module)
         return gymnasium.spec(name)
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f"{env_id}: {error}; expected a module that registers {name}: start in its folder, "
-            "or add that folder to PYTHONPATH"
-        ) from error
+        cure = f"{module} imports it; install it, in the environment of this package"
+        if f"{module}.".startswith(f"{error.name}."):
+            cure = f"expected a module that registers {name}: start in its folder, or add that "
+            cure += "folder to PYTHONPATH"
+        raise ModuleNotFoundError(f"{env_id}: {error}; {cure}") from error
     except gymnasium.error.Error as error:
-        if module and (near := get_close_matches(name, gymnasium.registry)):
-            why = f"{module} does not register it; did you mean {' or '.join(near)}?"
+        if module:
+            near = " or ".join(get_close_matches(name, gymnasium.registry))
+            why = f"{getattr(sys.modules[module], '__file__', module)} does not register {name!r}"
+            why += f"; did you mean {near}?" if near else ""
             raise ValueError(f"unknown environment {env_id!r}: {why}") from error
         raise ValueError(
             f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and Gymnasium's. If it "

@@ -130,8 +130,8 @@ class SerialEnv(SyncVectorEnv):
         if wrong:
             raise ValueError(
                 f"{self}: {', '.join(wrong)} came out differently when the episodes were "
-                "played again; expected a task whose episodes depend only on the actions and on "
-                "np_random as it was before the reset"
+                "played again, so a run on it cannot be resumed: let the task draw from "
+                "self.np_random alone, in reset and step, and keep nothing from before the reset"
             )
 
     def _begin(self, i: int, seed: int | None = None) -> None:
@@ -158,4 +158,10 @@ class SerialEnv(SyncVectorEnv):
 
     def _observe(self, i: int, observation: np.ndarray) -> None:
         """Keep a member's observation; ValueError if it does not fit the space."""
+        shape, expected = np.shape(observation), self.single_observation_space.shape
+        if shape != expected:
+            raise ValueError(
+                f"an observation has the shape {shape}; expected {expected}, as "
+                "observation_space says (reset returns observation, info)"
+            )
         np.stack([observation], out=self._last[i : i + 1])

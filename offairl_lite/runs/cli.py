@@ -21,7 +21,7 @@ from offairl_lite.config import CORRECTED
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.minari_storage import local_datasets
+from offairl_lite.minari_storage import closed_task, local_datasets
 from offairl_lite.runs import export as exports
 from offairl_lite.runs import folders, inputs, launch, records
 from offairl_lite.runs import tensorboard as logs
@@ -133,7 +133,7 @@ def watch(
         env_id: where the policy acts; by default where it was trained.
         member: which member of the population.
         seed: of the episode.
-        max_steps: where to stop at the latest.
+        max_steps: where to stop at the latest; the film runs at the task's own speed, render_fps.
         out: the MP4 file to write, in a folder that may be new.
     """
     if out.suffix != ".mp4":
@@ -143,9 +143,13 @@ def watch(
     policy = _policy(what).member(member)
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
-    pictures = films.frames(policy, env_id or policy.env_id, seed, max_steps)
-    out.write_bytes(films.mp4(pictures))
-    print(f"{out}: {len(pictures)} frames of {env_id or policy.env_id}")
+    task = env_id or policy.env_id
+    fps = closed_task(task)[0].metadata.get("render_fps") or 20
+    every = max(round(fps / 25), 1)
+    pictures = films.frames(policy, task, seed, max_steps, every)
+    film = films.mp4(pictures, round(fps / every))
+    records.write_whole(out, lambda path: path.write_bytes(film))
+    print(f"{out}: {len(pictures)} frames of {task}")
 
 
 def _policy(what: str) -> Policy:

@@ -1,5 +1,6 @@
 """A run's policies and rewards for other programs: as ONNX, and as programs of PyTorch."""
 
+import io
 import logging
 import warnings
 from importlib.util import find_spec
@@ -40,6 +41,7 @@ The {kind}, with PyTorch:
     program = torch.export.load("{file}.pt2").module()
     {gives} = program({tensors})
 """
+ABSORBING = "\nWhere an episode terminates, add {rest:.6g} to reward-{i}, at a discount of 0.99.\n"
 
 
 class InUnits(torch.nn.Module):
@@ -100,6 +102,10 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
         sizes = {"obs": box.shape[0], "action": space.shape[0]}
         if isinstance(thing, Policy) or thing.state_only:
             del sizes["action"]
+        if isinstance(thing, Reward) and thing.normaliser.mean.shape[-1] > box.shape[0]:
+            there = torch.eye(box.shape[0] + 1)[-1].expand(len(thing), 1, -1)
+            rest = 99 * thing(there, torch.zeros(len(thing), 1, space.shape[0]))[:, 0]
+            text += "".join(ABSORBING.format(i=i, rest=rest[i].item()) for i in members)
         for i in members:
             _write(thing.member(i), space, sizes, gives, out / f"{kind}-{i}")
         arrays = ", ".join(f'"{name}": np.zeros((1, {n}), np.float32)' for name, n in sizes.items())
@@ -134,7 +140,8 @@ def _write(
         with warnings.catch_warnings(action="ignore"):
             module = InUnits(thing, space)
             program = torch.export.export(module, given, dynamic_shapes=rows)
-            torch.export.save(program, path.with_suffix(".pt2"))
+            torch.export.save(program, whole := io.BytesIO())  # On a full disk it would crash.
+            path.with_suffix(".pt2").write_bytes(whole.getbuffer())
             if find_spec("onnxscript") is not None:
                 file, names = path.with_suffix(".onnx"), [*sizes]
                 own: Any = {"input_names": names, "output_names": [gives], "verbose": False}

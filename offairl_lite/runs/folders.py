@@ -226,8 +226,9 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
 
     More steps are for all run folders of the run. New seeds get a run folder of their own, inside
     `folder`, where `read` finds it; nothing is moved. ValueError says that the run has gone further
-    already, that a seed is there already, or that the run builds upon members of another; OSError
-    that a process is at work on the run, or that the disk has no room.
+    already, that a seed is there already, that the run builds upon members of another, or that what
+    it began with has changed; OSError that this is gone, that a process is at work on the run, or
+    that the disk has no room.
     """
     before = {path: known(path) for path in run_folders(folder)}
     changes = {} if steps is None else {"total_steps": steps}
@@ -235,6 +236,8 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
     with ExitStack() as locks:
         for path, spec in specs.items():
             checkpoints.load(path, spec)  # It refuses what is damaged, or has gone further.
+            inputs.demonstrations_of(path, spec)
+            inputs.recorded(path, spec)
             locks.enter_context(checkpoints.lock(path))
         new = []
         if seeds:

@@ -6,6 +6,7 @@ loaded from. What a run goes on with must be what it began with, which digests t
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -19,6 +20,8 @@ from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs.records import RunSpec, again, file_name, join, read, run_folders
+
+log = logging.getLogger(__name__)
 
 CURES = {
     "frozen_reward": "--reward frozen",
@@ -70,6 +73,11 @@ def load_one(path: str | PathLike, kind: Any) -> Any:
             f"{again(path, RunSpec.read(run_folders(path)[0]))} goes on to it (not every record "
             "keeps its own)"
         )
+    if run.diverged:
+        lost = f"{path} has seeds that diverged, {run.diverged}"
+        if len(run.diverged) == len(run.seeds):
+            raise ValueError(f"{lost}: there is nothing to use")
+        log.warning(f"{lost}; members are then worth nothing: choose others")
     return found
 
 

@@ -6,6 +6,7 @@ over processes.
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -189,7 +190,15 @@ def _create(
         # but for GAN-GCL, which compares the replay's size with others.
         small = {"replay_size": config.schedule.update_every or 1}
         tried = config if config.reward == "gan-gcl" else config.change(**small)
-        Trainer(tried, seeds, shown, **things, execution=execution).close()
+        trial = Trainer(tried, seeds, shown, **things, execution=execution)
+        with closing(trial), closing(envs.make(env_id, len(seeds), seeds)) as twin:
+            env = trial.collector.env
+            env.reset()
+            env.step(np.full((len(seeds), trial.dims[1]), 0.5, np.float32))
+            try:
+                twin.set_state(env.get_state())
+            except ValueError as error:  # It trains nevertheless.
+                print(f"note: {error}", file=sys.stderr)
         ends = int(shown.transitions.terminated.sum()) if given.dataset and shown else 0
         if ends and config.schedule.absorbing == "none":
             note = f"note: {ends} of {len(shown or ())} demonstrations terminate; absorbing is none"
@@ -238,9 +247,10 @@ def _missing_seeds(
             found["seeds"] = spec.seeds, tuple(seeds)
         said = [f"{name} {old!r}, not {new!r}" for name, (old, new) in found.items() if old != new]
         if said:
-            raise ValueError(
-                f"{path} is a run with {', '.join(said)}: give the same, or choose another --out"
-            )
+            cure, steps = "give the same, or choose another --out", config.total_steps
+            if len(said) == 1 and spec.config.total_steps < steps:
+                cure = f"{records.again(path, spec, f'resume --steps {steps}')} extends it"
+            raise ValueError(f"{path} is a run with {', '.join(said)}: {cure}")
         there += spec.seeds
     return tuple(seed for seed in seeds if seed not in there)
 

@@ -142,6 +142,14 @@ def test_one_film_one_member():
         video.frames(policy((0, 1)), MAZE)
 
 
+def test_an_odd_row_or_column_is_left_out(monkeypatch):
+    given = []
+    encode = lambda pictures, **_: given.append(pictures.shape)  # noqa: E731
+    monkeypatch.setattr(video.mediapy, "compress_video", encode)
+    video.mp4(np.zeros((4, 33, 47, 3), np.uint8))
+    assert given == [(4, 32, 46, 3)]
+
+
 def test_mp4_is_an_mp4():
     film = np.zeros((4, 32, 48, 3), np.uint8)
     film[:, :, :24] = 255

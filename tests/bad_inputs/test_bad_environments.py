@@ -215,7 +215,7 @@ def test_no_task_has(refused, own, spaces, words):
             "Hopper-v5",
             {},
             {},
-            f"the reward of {MAZE} sees 3 numbers of an observation...and 3 of an action; "
+            f"the reward of {MAZE} sees 3 numbers of an observation...and none of an action; "
             f"Hopper-v5 has 11 and 3: wrap a task like {MAZE}",
         ),
         ("Pendulum-v1", {"obs_dim": 5}, {}, "sees 5 numbers...Pendulum-v1 has 3 and 1"),
@@ -264,6 +264,23 @@ def test_a_step_of_another_form_is_the_task_s_own_failure(own, monkeypatch, resu
             env.step(np.zeros((1, 2), np.float32))
     finally:
         del gymnasium.registry["ownbot/Broken-v0"]
+
+
+@pytest.mark.filterwarnings("ignore")  # Gymnasium's, which say less.
+def test_an_observation_of_another_shape_than_the_space_is_named(own, monkeypatch):
+    wrong = np.zeros(1, np.float32), {}
+    monkeypatch.setattr(Arm, "reset", lambda self, seed=None, options=None: wrong)
+    env = make(own("Arm-v0"), 1, 0)
+    with pytest.raises(envs.TaskError, match=r"its reset, .* shape \(1,\); expected \(2,\)"):
+        env.reset()
+
+
+def test_a_library_that_a_module_lacks_is_named(tmp_path, monkeypatch):
+    (tmp_path / "lacking_robot.py").write_text("import no_such_library\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    message = "No module named 'no_such_library'; lacking_robot imports it; install it"
+    with pytest.raises(ModuleNotFoundError, match=message):
+        envs.spec("lacking_robot:Arm-v0")
 
 
 def test_a_module_that_fails_is_named(tmp_path, monkeypatch):

@@ -134,9 +134,11 @@ def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     try:
         assert envs.spec("modular:Modular-v0").id == "Modular-v0"
-        near = "'modular:Modluar-v0': modular does not register it; did you mean Modular-v0"
+        near = "unknown .*modular.py does not register 'Modluar-v0'; did you mean Modular-v0"
         with pytest.raises(ValueError, match=near):
             envs.spec("modular:Modluar-v0")
+        with pytest.raises(ValueError, match=r"modular\.py does not register 'Qx-v0'$"):
+            envs.spec("modular:Qx-v0")
     finally:
         gymnasium.registry.pop("Modular-v0", None)
         sys.modules.pop("modular", None)

@@ -224,6 +224,7 @@ def test_watch_takes_a_task_or_a_policy_s_file(capsys, shipped_experts, elsewher
         offairl(f"watch {what} --max-steps 2 --env-id offairl/PointMazeRight-v0")
         assert "film.mp4: 3 frames of offairl/PointMazeRight-v0" in capsys.readouterr().out
     offairl("watch offairl/PointMazeLeft-v0 --max-steps 2 --out films/new/one.mp4")
+    assert not (elsewhere / "films/new/one.mp4.part").exists()
     assert (elsewhere / "films" / "new" / "one.mp4").read_bytes()[4:8] == b"ftyp"
 
 
@@ -633,6 +634,38 @@ def test_what_has_no_policy_yet_names_the_task_as_well(arm_folder, capsys):
     told = "has no policy.safetensors, .*: `offairl resume begun --env-id arm:Arm-v0` goes on"
     for command in ("watch begun", "export begun --out robot"):
         assert re.search(told, failure(f"{command} --env-id arm:Arm-v0", capsys))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "elsewhere_drawn"),
+    [
+        ("self.mass = mass", "self.mass = mass + np.random.random()"),
+        ("self.np_random.uniform", "np.random.uniform"),
+        ("self.obs.astype", "(self.obs + np.random.normal()).astype"),
+    ],
+)
+def test_a_task_that_cannot_be_played_again_is_noted(drawn, elsewhere_drawn, arm_folder, capsys):
+    Path("arm.py").write_text(Path("arm.py").read_text().replace(drawn, elsewhere_drawn))
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    assert "played again" not in capsys.readouterr().err
+    offairl(f"{line} --out noisy --prepare")
+    said = capsys.readouterr().err
+    assert "played again, so a run on it cannot be resumed: let the task draw from self" in said
+
+
+def test_a_film_plays_as_fast_as_the_task(shipped_experts, capsys, monkeypatch):
+    monkeypatch.setitem(envs.SingleEnv.metadata, "render_fps", 100)
+    given = []
+    monkeypatch.setattr(cli.films, "mp4", lambda pictures, fps: given.append(fps) or b"film")
+    offairl("watch offairl/PointMazeLeft-v0 --max-steps 20")
+    assert "film.mp4: 6 frames of" in capsys.readouterr().out
+    assert given == [25]
+
+
+def test_a_longer_run_is_told_to_extend(arm_folder, capsys):
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    said = failure(f"{line} --out one --total-steps 400", capsys)
+    assert "200, not 400: `offairl resume --steps 400 one --env-id arm:Arm-v0` extends it" in said
 
 
 def test_a_task_without_a_time_limit_is_noted(arm_folder, capsys):

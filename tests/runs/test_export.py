@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import closing
 
 import gymnasium
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from run_folders import create
 
 from offairl_lite.core.rollouts import action
+from offairl_lite.learned_reward import LearnedReward
 from offairl_lite.runs import cli, records
 from offairl_lite.runs.export import export
 from offairl_lite.runs.folders import work
@@ -113,6 +115,18 @@ def test_the_text_beside_the_files_loads_them(finished, tmp_path, monkeypatch, c
         exec(re.sub("(?m)^    ", "", block), known)
         shape = (1, 2) if "policy" in block else (1,)
         assert known["action" if "policy" in block else "reward"].shape == shape
+
+
+def test_the_text_says_what_an_end_is_worth(finished, tmp_path):
+    run = records.read(folder := finished(absorbing="bootstrap"))
+    export(folder, tmp_path / "out")
+    text = (tmp_path / "out/README.txt").read_text()
+    found = re.findall(r"terminates, add (\S+) to reward-(\d), at a discount of 0.99", text)
+    assert [i for _, i in found] == ["0", "1"]
+    with closing(gymnasium.make("Arm-v0")) as env:
+        for worth, i in found:
+            paid = LearnedReward(env, run.reward, int(i))
+            assert float(worth) == pytest.approx(paid._rest, rel=1e-4)
 
 
 def test_without_onnx_programs_are_written_and_the_remedy_is_told(

@@ -647,6 +647,17 @@ def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonst
         folders.work(folder)
 
 
+def test_an_extension_without_its_demonstrations_changes_nothing(
+    tiny, folder, random_demonstrations
+):
+    shown = random_demonstrations(MAZE)
+    run(folder, tiny, demonstrations=shown)
+    before = files(folder)
+    with pytest.raises(ValueError, match="did not make: give the same"):
+        folders.extend(folder, tiny.total_steps + 100)
+    assert files(folder) == before
+
+
 def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
     shown = load(MAZE, 2, experts=1)
     create(folder, tiny, SEEDS, demonstrations=shown)
@@ -871,7 +882,7 @@ def test_a_member_that_diverges_is_given_up_alone(folder, plain, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:seed . diverged")
-def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypatch):
+def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypatch, caplog):
     monkeypatch.setattr(SAC, "update", diverging(0, 1))
     create(folder, plain, SEEDS, checkpoint_every=40)
     resume(folder)
@@ -885,6 +896,11 @@ def test_a_run_folder_that_diverges_leaves_others_alone(folder, plain, monkeypat
     assert [(r.seed, r.step) for r in found.rows if r.seed == 5] == [(5, 50), (5, 100)]
     assert list(found.diverged) == [3, 7]
     assert len(found.policy) == 3
+    assert len(inputs.load_one(folder, Policy)) == 3
+    assert "seeds that diverged" in caplog.text
+    shutil.rmtree(folder / "seeds-5")
+    with pytest.raises(ValueError, match=r"diverged, .*: there is nothing to use"):
+        inputs.load_one(folder, Policy)
 
 
 def test_a_record_is_verified_without_its_checkpoints(plain, folder):
