@@ -53,7 +53,7 @@ def test_wrong_data_are_refused_with_what_was_expected_and_what_was_found(
         load("Pendulum-v1", 1, "my/pendulum-v0")
 
 
-def test_a_data_set_that_cannot_be_written_whole_is_gone(own, monkeypatch):
+def test_a_data_set_that_cannot_be_written_whole_is_gone(own, minari_folder, monkeypatch):
     def full(*_, **__):
         get_dataset_path("own/part-v0").mkdir(parents=True)
         raise OSError("No space left on device")

@@ -203,6 +203,10 @@ VARIED = {
     "locomotion-first-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
     "experts-long/Ant-sac-learned": {"warmup_steps"},
     "experts-long/Hopper-sac-fixed": {"warmup_steps"},
+    **{
+        f"experts-small/{run}": {"eval_every", "hidden", "warmup_steps"}
+        for run in ("Ant-sac-learned", "Hopper-sac-fixed", "Walker2d-sac-fixed")
+    },
     # The shipped experts are trained for longer, and evaluated less often.
     "maze-expert-left-demo": {"eval_every"},
     "maze-expert-right-demo": {"env_id", "eval_every"},
