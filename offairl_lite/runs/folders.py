@@ -236,7 +236,8 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
     with ExitStack() as locks:
         for path, spec in specs.items():
             checkpoints.load(path, spec)  # It refuses what is damaged, or has gone further.
-            inputs.demonstrations_of(path, spec)
+            if "dataset" in (spec.demonstrations or {}):
+                inputs.demonstrations_of(path, spec)
             inputs.recorded(path, spec)
             locks.enter_context(checkpoints.lock(path))
         new = []

@@ -15,6 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import get_args
 
+import minari
 import numpy as np
 import pytest
 import torch
@@ -647,15 +648,23 @@ def test_demonstrations_must_be_those_it_began_with(tiny, folder, random_demonst
         folders.work(folder)
 
 
-def test_an_extension_without_its_demonstrations_changes_nothing(
-    tiny, folder, random_demonstrations
-):
+def test_an_extension_without_its_data_set_changes_nothing(tiny, folder, write_dataset):
+    name = write_dataset("my/pendulum-v0").spec.dataset_id
+    config = tiny.change(env_id="Pendulum-v1")
+    run(folder, config, demonstrations=load(config.env_id, 2, name))
+    before = files(folder)
+    minari.delete_dataset(name)
+    with pytest.raises(FileNotFoundError, match="no local data set 'my/pendulum-v0'"):
+        folders.extend(folder, config.total_steps + 100)
+    assert files(folder) == before
+
+
+def test_a_run_on_demonstrations_given_by_hand_can_be_extended(tiny, folder, random_demonstrations):
     shown = random_demonstrations(MAZE)
     run(folder, tiny, demonstrations=shown)
-    before = files(folder)
-    with pytest.raises(ValueError, match="did not make: give the same"):
-        folders.extend(folder, tiny.total_steps + 100)
-    assert files(folder) == before
+    folders.extend(folder, tiny.total_steps + 100)
+    folders.work(folder, demonstrations=shown, progress=False)
+    assert records.read(folder).steps[-1] == tiny.total_steps + 100
 
 
 def test_demonstrations_of_one_expert_are_so_again_on_resume(tiny, folder, shipped_experts):
