@@ -9,9 +9,10 @@ STAGE := build/$(SCALE)
 HTML  := _build/html
 
 # A chapter or a laboratory note is run again when it, the package, a record or the environment has
-# changed, at each scale apart. (The usual execution caches look at the notebook alone.)
+# changed, at each scale apart. (The usual execution caches look at the notebook alone.) If a cell
+# fails, the page is rendered with a mark, and run again the next time.
 CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
-SOURCES  := $(wildcard book/*.py) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
+SOURCES  := $(wildcard book/*.py) book/checks/__init__.py book/rollouts/__init__.py $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
 # The seconds of a cell: at most ten minutes, except at full scale.
@@ -39,13 +40,15 @@ help:
 book: $(ENV)
 	@$(MAKE) --no-print-directory -j$(JOBS) $(RUN)
 	@$(MAKE) --no-print-directory html
+	@$(BIN)/python book/execute.py report $(STAGE)
 	@echo 'The book is ready. Open $(CURDIR)/$(HTML)/index.html'
 
-$(STAGE)/%.run: % $(SOURCES) $(ENV) | stage
+# A page's own checks are book/checks/PAGE.py.
+.SECONDEXPANSION:
+$(STAGE)/%.run: % $(SOURCES) $$(wildcard book/checks/$$(basename $$(notdir $$*)).py) $(ENV) | stage
 	@cp $< $(STAGE)/$<
 	@echo 'Running $<'
-	@$(BIN)/jupyter execute --NbClientApp.log_level=WARN --inplace --kernel_name=python3 --timeout=$(CELL) $(STAGE)/$<
-	@touch $@
+	@$(BIN)/python book/execute.py run $< $(STAGE) --timeout=$(CELL) && touch $@ || rm -f $@
 
 # All of the book but the chapters, which are executed in the staging folder; and a profile that
 # keeps the kernels' start-up notices out of the output.
@@ -54,12 +57,15 @@ stage:
 	@tar -cf - --exclude '*.ipynb' --exclude .ipynb_checkpoints --exclude checkpoint --exclude curve.png --exclude __pycache__ book README.md _config.yml _toc.yml | tar -xf - -C $(STAGE)
 	@echo 'c.IPKernelApp.log_level = 40' > build/ipython/profile_default/ipython_kernel_config.py
 
-# Render the chapters as executed. A warning is an error, the next time too: forget what was read.
+# Render the chapters as executed. For the tests a warning is an error, the next time too: forget
+# what was read. A reader gets the book whatever happens.
 html: $(ENV) stage
-	$(BIN)/jupyter-book build $(STAGE) --path-output . -W --keep-going -q \
+	@$(BIN)/jupyter-book build $(STAGE) --path-output . -q $(if $(filter 1,$(OFFAIRL_STRICT)),-W --keep-going) \
 	  || { rm -rf _build/.doctrees; exit 1; }
 
 # Tests trust no earlier run: every chapter is executed afresh, once, and that is what is rendered.
+# A statement of a page that does not hold is an error.
+test: export OFFAIRL_STRICT = 1
 test: $(ENV)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check

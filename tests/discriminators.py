@@ -37,6 +37,7 @@ CONFIGS = {
     "bottleneck dac": CORRECTED.change(
         reward="dac", ablation="bottleneck", bottleneck=0.5, **SMALL
     ),
+    "state pairs": CORRECTED.change(reward="dac", ablation="state-pairs", **SMALL),
     "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", update_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]

@@ -41,14 +41,27 @@ def executed(path):
     return (min(times), max(times)) if times else None
 
 
+def checked(path):
+    """Return how many statements of an executed page hold, of how many."""
+    outcomes = [
+        outcome
+        for cell in json.loads(path.read_text("utf-8"))["cells"]
+        for output in cell.get("outputs", [])
+        for outcome in output.get("metadata", {}).get("checks", [])
+    ]
+    held = sum(not outcome["evidence"] for outcome in outcomes)
+    return f"{held} of {len(outcomes)}"
+
+
 class Status(SphinxDirective):
     """Two tables: the chapters with their seconds, and the versions."""
 
     def run(self):
         """Return the tables."""
         lines = [
-            f"| page | seconds, {scale.current()} scale | began (UTC) |",
-            "|---|---:|---|",
+            f"| page | seconds, {scale.current()} scale "
+            "| statements that hold | began (UTC) |",
+            "|---|---:|---:|---|",
         ]
         for page in sorted(self.env.found_docs):
             path = Path(self.env.doc2path(page))
@@ -56,7 +69,7 @@ class Status(SphinxDirective):
             if times:
                 took = (times[1] - times[0]).total_seconds()
                 lines.append(
-                    f"| {{doc}}`/{page}` | {took:.0f} "
+                    f"| {{doc}}`/{page}` | {took:.0f} | {checked(path)} "
                     f"| {times[0]:%Y-%m-%d %H:%M} |"
                 )
         lines += ["", "| | version |", "|---|---|"]

@@ -4,4 +4,4 @@ Other bounds on the discriminator, and what the paper's released code does. Each
 own, by whose type it is chosen.
 """
 
-from offairl_lite.ablations import bottleneck, penalties, released  # noqa: F401
+from offairl_lite.ablations import bottleneck, penalties, released, state_pairs  # noqa: F401

@@ -1,5 +1,6 @@
 """The rendered book, for the tests that read it."""
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -19,7 +20,8 @@ def book(request):
 
 @pytest.fixture(scope="session")
 def rendering(book):
-    return subprocess.run(["make", "html"], cwd=ROOT, capture_output=True, text=True)
+    strict = os.environ | {"OFFAIRL_STRICT": "1"}  # A warning is an error.
+    return subprocess.run(["make", "html"], cwd=ROOT, capture_output=True, text=True, env=strict)
 
 
 @pytest.fixture(scope="session")

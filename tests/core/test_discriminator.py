@@ -18,7 +18,7 @@ from discriminators import (
     make,
 )
 
-from offairl_lite.ablations import bottleneck, penalties
+from offairl_lite.ablations import bottleneck, penalties, state_pairs
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import (
     LEARNING_RATE,
@@ -109,6 +109,7 @@ def test_where_f_is_flat_the_loss_has_a_slope_nevertheless(name):
         (penalties.OnProbability, ["released r(s)", "dac on probability"]),
         (penalties.SpectralNorm, ["spectral r(s, a)"]),
         (bottleneck.Bottleneck, ["bottleneck r(s)", "bottleneck dac"]),
+        (state_pairs.StatePairs, ["state pairs"]),
     ],
 )
 def test_a_configuration_chooses_the_discriminator(kind, names):
@@ -131,7 +132,7 @@ def test_f_is_reward_plus_shaping_by_separate_networks(name):
 @every_config
 def test_the_gradients_written_out_are_autograd_s(name):
     discriminator, batch = make(CONFIGS[name]), data()[0]
-    inputs = [x.clone().requires_grad_() for x in (batch.obs, batch.action, batch.next_obs)]
+    inputs = [x.clone().requires_grad_() for x in discriminator.seen(batch)]
     f, gradients = discriminator.f_and_gradients(Transitions(*inputs))
     expected = discriminator.f(Transitions(*inputs))
     torch.testing.assert_close(f, expected)
@@ -376,7 +377,8 @@ def test_what_is_frozen_is_the_reward_that_the_discriminator_has(name):
     batch, _, log_prob, *_ = batches
     paid = discriminator.reward(batch, lambda _: log_prob)
     paid = paid + log_prob if discriminator.reward_is_logit else paid
-    torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), paid)
+    action = discriminator.seen(batch).action  # s', where that stands in its place
+    torch.testing.assert_close(discriminator.frozen(batch.obs, action), paid)
 
 
 @every_config

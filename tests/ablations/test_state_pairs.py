@@ -1,0 +1,33 @@
+"""State-only DAC judges (s, s'), and nothing else."""
+
+import pytest
+import torch
+from discriminators import CONFIGS, data, make
+
+from offairl_lite.core.rewards import dac, gail_survival
+
+
+def test_its_logit_is_a_function_of_both_states_alone():
+    discriminator, (batch, other, *_) = make(CONFIGS["state pairs"]), data()
+    logit = discriminator.f(discriminator.seen(batch))
+    moved = batch._replace(pre_tanh=other.pre_tanh)
+    torch.testing.assert_close(discriminator.f(discriminator.seen(moved)), logit, rtol=0, atol=0)
+    for part in ("obs", "next_obs"):
+        changed = batch._replace(**{part: getattr(other, part)})
+        assert (discriminator.f(discriminator.seen(changed)) != logit).all()
+    scaled = discriminator.normaliser(batch.obs), discriminator.normaliser(batch.next_obs)
+    x = torch.cat(scaled, -1)
+    expected = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
+    torch.testing.assert_close(logit, expected)
+
+
+@pytest.mark.parametrize(("name", "form"), [("dac", dac), ("gail-survival", gail_survival)])
+def test_its_reward_is_that_of_its_logit(name, form):
+    discriminator, batch = make(CONFIGS["state pairs"].change(reward=name)), data()[0]
+    logit = discriminator.f(discriminator.seen(batch)).detach()
+    torch.testing.assert_close(discriminator.reward(batch, None), form(logit))
+
+
+def test_rewards_with_a_form_of_their_own_are_refused():
+    with pytest.raises(ValueError, match="reward 'implementation-4' has a form of its own"):
+        CONFIGS["state pairs"].change(reward="implementation-4")
