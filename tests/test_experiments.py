@@ -35,7 +35,7 @@ def test_demo_scale_is_small(name):
     # On-policy learning takes ten times the steps, and each of them less. The ants learn nothing in
     # fewer than 50,000, and have three seeds. What decides between methods is seen later still.
     ants = name.startswith("ant-")
-    most = {"what-decides": 100_000, "locomotion": 500_000}
+    most = {"what-decides": 100_000, "benchmark": 100_000, "locomotion": 500_000}
     most = most.get(name, 60_000 if ants or config.learner.kind == "ppo" else 20_000)
     assert config.total_steps <= most
     assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if ants else 5)
@@ -334,9 +334,33 @@ def test_a_run_is_configured_by_its_name():
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_robots_are_shown_by_as_many_experts_as_when_they_were_recorded(name):
-    """One at demo scale, two at full scale; a maze has five at either."""
+    """One at demo scale, two at full scale; a maze has five at either; the benchmark the best."""
     experiment = EXPERIMENTS[name]
+    if name == "benchmark":
+        assert experiment.experts == {"demo": "best", "full": "best"}
+        return
     robot = "Point" not in experiment.configs["demo"].env_id
     imitates = experiment.configs["demo"].learns_reward
     one, two = (1, 2) if robot and imitates else (None, None)
     assert experiment.experts == {"demo": one, "full": two}
+
+
+def test_the_benchmark_compares_methods_with_nothing_else_between_them():
+    experiment = find("benchmark")
+    assert len(experiment.variants) == 15
+    for robot in ("HalfCheetah", "Hopper", "Walker2d", "Ant", "CustomAnt"):
+        recipe, dac, states = (
+            configure(f"benchmark/{robot}-{method}", "demo")
+            for method in ("airl", "dac", "state-dac")
+        )
+        assert differences(dac, states) == {"ablation": (None, "state-pairs")}
+        assert differences(recipe, dac) == {
+            "reward": ("implementation-4", "dac"),
+            "loss": ("released", "exact"),
+        }
+        assert recipe.schedule.absorbing == (
+            "none" if robot in ("HalfCheetah", "CustomAnt") else "bootstrap"
+        )
+        if robot != "Ant":
+            known = configure(f"what-decides/{robot}-released-fixed-short", "demo")
+            assert differences(known, recipe) == {"eval_episodes": (5, 10)}

@@ -205,18 +205,18 @@ def your_imitator_finds_the_way(history):
     """Your imitator finds the way round the barrier, and still knows it at
     the end."""
     scores = np.array([path.reward.sum() for path, _ in history])
-    assert scores[4:].max() > -13
-    assert np.median(scores[-5:]) > -13
+    assert scores.max() > -14  # In the trap it is -26.5.
+    assert np.median(scores[-7:]) > -16
 
 
 @live
 def the_place_no_longer_tells_them_apart(history, places):
-    """After 500 updates nearly anything above the barrier looks like the
-    expert; at the end less does."""
+    """At first nearly anything above the barrier looks like the expert; at
+    the end less does."""
     beyond = places[:, 1].view(41, 41).numpy() > 0.35
-    early, late = ((history[k][1][beyond] > 0.5).mean() for k in (4, -1))
-    assert early > 0.7
-    assert late < early - 0.1
+    early, late = ((history[k][1][beyond] > 0.5).mean() for k in (1, -1))
+    assert early > 0.75
+    assert late < early - 0.05
 
 
 @live

@@ -188,11 +188,12 @@ def expert_falls(kept):
 @recorded
 def film(kept):
     """In the film the expert never falls, the imitator with an absorbing
-    state comes farther than the one without."""
+    state comes farther than the one without, which falls at once."""
     told = kept["film"]
     assert told["expert"]["falls"][-1] == 0
     reached = {name: seen["farthest"][-1] for name, seen in told.items()}
     assert reached["expert"] > reached["with"] > reached["without"]
+    assert told["without"]["falls"][-1] > 40  # in 400 steps
 
 
 @recorded
@@ -228,11 +229,12 @@ def with_it_they_hop(long, kept):
 
 @live
 def yours_stays_up(run, falling):
-    """The hopper that is trained here stays up longer than those without an
-    absorbing state."""
+    """The hopper that is trained here stays up longer than those that have
+    learned to fall."""
     assert np.isfinite(run.returns).all()
-    fallen = falling.returns[:, falling.steps >= 5_000][:, :4]
-    assert run.returns[:, -1].max() > 3 * np.median(fallen)
+    fallen = falling.returns[:, falling.steps == 5_000]
+    assert fallen.max() < 10
+    assert run.returns[:, -2:].max() > 6 * fallen.max()
 
 
 @recorded

@@ -45,11 +45,11 @@ def the_film(moving):
 
 
 @exact
-def what_survives(wrong):
+def what_survives(errors):
     """A constant and a shaping that sees the next state change no policy; a
     shaping folded into state and action changes it in the new world."""
-    assert max(*wrong["old"], *wrong["new"][:2]) < 1e-9
-    assert wrong["new"][2] > 0.1
+    assert max(*errors["old"], *errors["new"][:2]) < 1e-9
+    assert errors["new"][2] > 0.1
 
 
 # ---- The way back ----

@@ -8,7 +8,8 @@ computed once, on the machine that made the other records. The module
 
     PYTHONPATH=book .venv/bin/python -m rollouts NAME
 
-computes it afresh; `git diff` then shows what has changed.
+computes it afresh; `git diff` then shows what has changed. A film of robots
+is kept beside it, `records/rollouts/NAME.mp4`.
 """
 
 import importlib
@@ -17,7 +18,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import mediapy
 import numpy as np
+from IPython.display import HTML
 
 RECORDS = Path(__file__).parents[1] / "records"
 KEPT = RECORDS / "rollouts"
@@ -28,6 +31,15 @@ DIGITS = 6
 def read(name: str) -> dict[str, Any]:
     """Return what `record` of a module returned; lists become arrays."""
     return _arrays(json.loads((KEPT / f"{name}.json").read_text("utf-8")))
+
+
+def film(name: str, width: int, height: int, caption: str) -> HTML:
+    """Return a player of a recorded film."""
+    recorded = (KEPT / f"{name}.mp4").read_bytes()
+    player = mediapy.html_from_compressed_video(recorded, width, height)
+    return HTML(
+        f"<figure>{player}<figcaption>{caption}</figcaption></figure>"
+    )
 
 
 def write(names: Iterable[str]) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import Any, Literal
 
 from offairl_lite.config import Config
 from offairl_lite.scale import Scale
@@ -13,7 +13,7 @@ Changes = Mapping[str, Any]
 NOTHING: Changes = {}
 
 Seeds = Mapping[Scale, tuple[int, ...]]
-Experts = Mapping[Scale, int | None]
+Experts = Mapping[Scale, int | Literal["best"] | None]
 
 SEEDS: Seeds = {"demo": tuple(range(5)), "full": tuple(range(10))}
 ALL_EXPERTS: Experts = {"demo": None, "full": None}
@@ -25,7 +25,7 @@ class Experiment:
 
     `variants` are the names of its runs, where it is several, and what each changes. `reward_from`
     is the run whose learned reward is used, frozen, if any; `experts` says how many of the shipped
-    experts show the task at each scale, None all of them.
+    experts show the task at each scale, None all of them, `best` the strongest.
     """
 
     about: str

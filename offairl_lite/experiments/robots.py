@@ -73,6 +73,11 @@ _WHAT_DECIDES = crossed(
     {"short": {"warmup_steps": 1_000}, "long": {"warmup_steps": 10_000}},
 )
 
+# What one would use instead, on the five robots, each with its strongest expert. How many
+# demonstrations there are is not of the configuration: give --trajectories.
+_STATE_DAC: dict[str, Changes] = {"state-dac": {**_DAC, "ablation": "state-pairs"}}
+_BENCHMARK = crossed(_FIVE, {"airl": _RELEASED, "dac": _DAC, **_STATE_DAC})
+
 # The paper's three candidates for an expert, on its eight tasks.
 _MAZES = {short_name(env_id): {"env_id": env_id} for env_id in (base.LEFT, base.RIGHT)}
 _ON_THE_MAZE: Changes = {"update_every": None, "warmup_hold": 10.0, **base.EXPERT}
@@ -142,6 +147,13 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         _HOPPER,
         demo={"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 5},
         variants=_WHAT_DECIDES,
+    ),
+    "benchmark": _robot(
+        "The recipe, DAC and state-only DAC, 15 runs by the best experts: give --trajectories",
+        {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
+        demo={"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 10},
+        variants=_BENCHMARK,
+        experts={"demo": "best", "full": "best"},
     ),
     "ant-transfer": _robot(
         "On DisabledAnt, paid by the reward from CustomAnt: what of the policy to keep, α learned",

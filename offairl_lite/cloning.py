@@ -1,0 +1,108 @@
+"""Behavioural cloning: policies that repeat demonstrated actions (Pomerleau 1991).
+
+It takes no step of the task, and needs what the other methods do without: recorded actions.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+from tqdm.auto import trange
+
+from offairl_lite.config.settings import Count, Positive, Sizes, checked
+from offairl_lite.core import absorbing
+from offairl_lite.core.networks import Adam, Normaliser, descend
+from offairl_lite.core.policies import Policy, SquashedGaussian, gaussian_log_density
+from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Action, PerMember
+from offairl_lite.demonstrations import Demonstrations
+
+CHECK_EVERY = 100
+"""Minibatches between two looks at the transitions that are held out."""
+
+
+def cloning_loss(mean: Action, log_std: Action, pre_tanh: Action) -> PerMember:
+    """Return E ‖tanh μ(s) - a‖² - E log N(u; μ(s), σ(s)²), where a = tanh(u) was demonstrated.
+
+    The first term fits the mode, which acts without noise. The second fits σ alone, with μ held
+    fixed: otherwise actions near ±1, whose u is large, would decide what the mode is.
+    """
+    error = (torch.tanh(mean) - torch.tanh(pre_tanh)).square().sum(-1)
+    return (error - gaussian_log_density(pre_tanh, mean.detach(), log_std)).mean(-1)
+
+
+def held_out(lengths: Sequence[int]) -> Bool[Tensor, "N"]:
+    """Tell which transitions say when to stop: of every episode a tenth, in one piece.
+
+    A piece, since a transition whose neighbours are learned from is not new to the clone.
+    """
+    marks = []
+    for i, length in enumerate(lengths):
+        mark, size = np.zeros(length, bool), length // 10
+        start = np.random.default_rng((0, i)).integers(length - size + 1)
+        mark[start : start + size] = True
+        marks.append(mark)
+    return torch.from_numpy(np.concatenate(marks))
+
+
+def clone(
+    demonstrations: Demonstrations,
+    seeds: Sequence[int],
+    *,
+    hidden: Sizes = (256, 256),
+    steps: int = 5_000,
+    patience: int = 1_000,
+    batch_size: int = 256,
+    learning_rate: float = 1e-3,
+    absorbing_state: bool = False,
+    progress: bool = True,
+) -> Policy:
+    """Return a population of policies that imitate demonstrated actions.
+
+    Args:
+        demonstrations: what to imitate, with actions.
+        seeds: of the members.
+        hidden: layers of the actor, ReLU; as those of a run that is to go on with it.
+        steps: the most minibatches.
+        patience: a member stops when its loss on held-out transitions has not fallen for so many
+            minibatches, and keeps the weights with which it was lowest.
+        batch_size: transitions of a minibatch.
+        learning_rate: Adam's.
+        absorbing_state: whether the policy sees the absorbing state's indicator, for a run with
+            `absorbing` that goes on with it (`pretrained="policy"`).
+        progress: whether a bar is shown.
+
+    Raises:
+        ValueError: an argument is not valid.
+    """
+    for name, count in (("steps", steps), ("patience", patience), ("batch_size", batch_size)):
+        checked(name, count, Count)
+    population = len(seeds)
+    obs, pre_tanh, *_ = demonstrations.transitions
+    obs = absorbing.extend(obs) if absorbing_state else obs
+    scaling = Normaliser(*(part.repeat(population, 1, 1) for part in Normaliser.of(obs[None])))
+    obs, out = scaling(obs.expand(population, -1, -1)), held_out(demonstrations.lengths)
+    learned, rng = (~out).nonzero().squeeze(1), Rng(seeds)
+    actor = SquashedGaussian(obs.shape[-1], pre_tanh.shape[-1], checked("hidden", hidden, Sizes))
+    optimizer = Adam(actor.init(rng), checked("learning_rate", learning_rate, Positive))
+    lowest, best = torch.full((population,), torch.inf), optimizer.params.detach().clone()
+    at = torch.zeros(population, dtype=torch.long)  # where it was lowest
+
+    def loss(rows: Tensor) -> PerMember:
+        shown = torch.arange(population).unsqueeze(1), rows
+        return cloning_loss(*actor.distribution(optimizer.params, obs[shown]), pre_tanh[rows])
+
+    for step in trange(1, steps + 1, desc="cloning", disable=not progress):
+        rows = learned[rng.integers([len(learned)] * population, batch_size)]
+        descend(loss(rows).sum(), optimizer)
+        if step % CHECK_EVERY and step < steps:
+            continue
+        with torch.no_grad():
+            now = loss((out if out.any() else ~out).nonzero().T.expand(population, -1))
+            better = (now < lowest) & (step - at <= patience)
+            lowest[better], best[better], at[better] = now[better], optimizer.params[better], step
+        if (step - at >= patience).all():
+            break
+    return Policy(demonstrations.env_id, actor, best, scaling)
