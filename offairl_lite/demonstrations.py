@@ -1,14 +1,17 @@
-"""Expert demonstrations: read from Minari, or made on first use by the shipped experts."""
+"""Expert demonstrations: read from Minari, into which those of the shipped experts are put."""
 
 import hashlib
+import json
 import logging
+import lzma
 import shutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -37,6 +40,8 @@ from offairl_lite.minari_storage import Recording, outside, write
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
 PURPOSE = 1
 """Makes the episodes of a data set differ from those of evaluations (`rollouts.episode_seeds`)."""
+ACTIONS = ".actions.xz"
+"""The kind of file that has the experts' actions, zeros after the end of an episode."""
 BLOCK = 10
 """Number of episodes of each expert that are made side by side, however few are needed: matrix
 products of other shapes round differently, and a trajectory would depend on their number."""
@@ -150,14 +155,15 @@ def load(
     trajectories: int = 50,
     dataset_id: str | None = None,
     subsample: int = 1,
-    experts: int | None = None,
+    experts: int | Literal["best"] | None = None,
 ) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
-    Without `dataset_id`, of a data set of your own, the shipped experts demonstrate, all or the
-    first few. Their episodes are made the first time and kept, under a name that changes when the
-    experts do. A trajectory is always the same, however many are asked for. With a `subsample` of k
-    there is every k-th transition of each, k times (`Demonstrations.subsample`).
+    Without `dataset_id`, of a data set of your own, the shipped experts demonstrate: all, the first
+    few, or the `best`, whose mode returns most. The actions of 50 episodes of each are shipped, and
+    played again on first use; where they lead elsewhere the log says so, and the experts act anew.
+    A trajectory is always the same, however many are asked for. With a `subsample` of k there is
+    every k-th transition of each, k times (`Demonstrations.subsample`).
 
     Raises:
         FileNotFoundError: there is no such data set, or no expert to make it.
@@ -166,7 +172,7 @@ def load(
     """
     trajectories = checked("trajectories", trajectories, Count)
     subsample = checked("subsample", subsample, Count)
-    experts = checked("experts", experts, Count | None)
+    experts = experts if experts == "best" else checked("experts", experts, Count | None)
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         dataset_id = _made_by_experts(env_id, trajectories, experts)
@@ -187,16 +193,19 @@ def load(
     return replace(data if subsample == 1 else data.subsample(subsample), source=source)
 
 
-def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str:
+def _made_by_experts(env_id: str, trajectories: int, experts: int | str | None) -> str:
     """Return the name of the shipped experts' data set, after making it if it is not complete."""
     envs.spec(env_id)  # Refuses an unknown task before experts are looked for.
     policy = expert(env_id)
-    if experts is not None:
-        there = Annotated[int, f"in [1, {len(policy)}]", lambda n: n <= len(policy)]
-        policy = policy.member(*range(checked("experts", experts, there)))
-    digest = hashlib.sha256(expert_file(env_id).read_bytes()).hexdigest()[:8]
-    some = "" if experts is None else f"-first-{experts}"
-    dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}{some}-{trajectories}-v0"
+    file = expert_file(env_id)
+    there = Annotated[int, f"in [1, {len(policy)}], or 'best'", lambda n: 0 < n <= len(policy)]
+    if experts == "best":
+        members = [int(np.argmax(json.loads(file.with_suffix(".json").read_bytes())["returns"]))]
+    else:
+        members = [*range(len(policy) if experts is None else checked("experts", experts, there))]
+    content = [part.read_bytes() for part in (file, file.with_suffix(ACTIONS)) if part.is_file()]
+    digest, who = hashlib.sha256(b"".join(content)).hexdigest()[:8], "-".join(map(str, members))
+    dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{who}-of-{trajectories}-v0"
 
     def complete() -> bool:
         # Minari counts the episodes after it has written them.
@@ -219,7 +228,7 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | None) -> str
         if not complete():
             # No other process is writing, so an incomplete data set was abandoned.
             shutil.rmtree(get_dataset_path(dataset_id), ignore_errors=True)
-            generate(policy, env_id, trajectories, dataset_id)
+            generate(policy.member(*members), env_id, trajectories, dataset_id, members)
     return dataset_id
 
 
@@ -228,6 +237,7 @@ def generate(
     env_id: str,
     trajectories: int,
     dataset_id: str,
+    members: Sequence[int] | None = None,
 ) -> None:
     """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
@@ -237,7 +247,8 @@ def generate(
     not fit the task.
 
     The actions of a `Policy` are sampled, as maximum-entropy experts act. With n members, experts
-    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`.
+    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. `members`
+    says which of the shipped experts these are, and has the episodes that are shipped.
 
     The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
     """
@@ -247,7 +258,7 @@ def generate(
     *_, units = minari_storage.closed_task(env_id)
     if isinstance(policy, Policy):
         require_actions(policy, units)
-        recordings = _sampled(policy, env_id, trajectories, units)
+        recordings = _sampled(policy, env_id, trajectories, units, members)
         by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
     elif callable(policy):
         recordings = _played(policy, env_id, trajectories, units)
@@ -257,14 +268,16 @@ def generate(
     write(recordings, env_id, dataset_id, description=by)
 
 
-def _sampled(policy: Policy, env_id: str, trajectories: int, units: Box) -> list[Recording]:
+def _sampled(
+    policy: Policy, env_id: str, trajectories: int, units: Box, members: Sequence[int] | None
+) -> list[Recording]:
     """Return sampled episodes of the members in turn."""
     middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
     recordings = []
     for i in tqdm(range(trajectories), unit="episode", desc=f"demonstrations of {env_id}"):
         e, member = divmod(i, len(policy))
         if member == e % BLOCK == 0:
-            made = first_episodes(policy, env_id, e)
+            made = first_episodes(policy, env_id, e, members)
         at = member, e % BLOCK
         length = made.lengths[at]
         obs = np.concatenate([made.obs[at][:length], made.next_obs[at][length - 1 : length]])
@@ -312,7 +325,41 @@ def _require_action(action: Any, units: Box, where: str) -> None:
     )
 
 
-def first_episodes(policy: Policy, env_id: str, first: int = 0) -> Episodes:
-    """Return `BLOCK` sampled episodes of each expert, from episode `first` on."""
-    seeds = range(len(policy))
-    return rollout(policy, env_id, seeds, BLOCK, sample=True, purpose=PURPOSE, first=first)
+def first_episodes(
+    policy: Policy, env_id: str, first: int = 0, members: Sequence[int] | None = None
+) -> Episodes:
+    """Return `BLOCK` episodes of each expert, from episode `first` on; `members` as in `generate`.
+
+    Networks round differently on every kind of processor, and robots magnify that. MuJoCo does not:
+    from the shipped actions come the same episodes, of which digests are kept.
+    """
+    seeds = range(len(policy)) if members is None else members
+    how: dict[str, Any] = {"purpose": PURPOSE, "first": first}
+    if members is not None and (file := expert_file(env_id).with_suffix(ACTIONS)).is_file():
+        with lzma.open(file) as stream:
+            actions = np.load(stream)[members, first : first + BLOCK]
+        if actions.size:
+            made = rollout(policy, env_id, seeds, BLOCK, actions=actions, **how)
+            noted = json.loads(expert_file(env_id).with_suffix(".json").read_bytes())
+            wanted = [noted["demonstrations"][member][first // BLOCK] for member in members]
+            if digests(made) == wanted:
+                return made
+        _say_that_they_differ(env_id)
+    return rollout(policy, env_id, seeds, BLOCK, sample=True, **how)
+
+
+@cache
+def _say_that_they_differ(env_id: str) -> None:
+    """Log, once, that demonstrations are not those of the book."""
+    log.warning(
+        f"Demonstrations of {env_id} are sampled on this machine, and differ from the book's and "
+        "from other machines': the shipped ones (50 of each expert) are too few, or come out "
+        "otherwise with this version of MuJoCo or on this kind of processor."
+    )
+
+
+def digests(made: Episodes) -> list[str]:
+    """Return the SHA-256 of each expert's episodes."""
+    columns = zip(made.obs, made.action, made.next_obs, made.reward, made.running, strict=True)
+    rows = [b"".join(part[running].tobytes() for part in parts) for *parts, running in columns]
+    return [hashlib.sha256(row).hexdigest() for row in rows]

@@ -42,11 +42,7 @@ class Recording(NamedTuple):
 
 
 def write(
-    recordings: Sequence[Recording],
-    env_id: str,
-    dataset_id: str,
-    *,
-    description: str | None = None,
+    recordings: Sequence[Recording], env_id: str, dataset_id: str, *, description: str | None = None
 ) -> None:
     """Write a Minari data set of episodes from anywhere, under a new name such as `own/arm-v0`.
 

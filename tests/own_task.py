@@ -20,3 +20,16 @@ class Arm(gymnasium.Env):
 
     def step(self, action):
         return np.float32(action) / np.float32(self.mass), float(action.sum()), False, False, {}
+
+
+class Noisy(Arm):
+    """An arm whose steps draw from outside `np_random`, so that no episode can be played again."""
+
+    def step(self, action):
+        obs, *rest = super().step(action)
+        return obs + np.float32(np.random.normal()), *rest  # noqa: NPY002
+
+
+def scaled():
+    """An arm whose observations depend on all those before, of earlier episodes as well."""
+    return gymnasium.wrappers.NormalizeObservation(Arm())

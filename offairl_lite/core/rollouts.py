@@ -132,14 +132,15 @@ def rollout(
     purpose: int = 0,
     first: int = 0,
     num_threads: int = 1,
+    actions: Float[np.ndarray, "S E T A"] | None = None,
 ) -> Episodes:
     """Run so many whole episodes with each of the S members of a policy, all at the same time.
 
     The task need not be the one the policy was trained on. The same seeds, one for each member,
     give the same episodes (see `episode_seeds`, also for `purpose` and `first`); with more threads,
-    for the physics and PyTorch, they are rounded otherwise. Actions are modes unless `sample` is
-    set. It is a ValueError if seeds, policy and task do not fit, if an episode does not end, or if
-    the task gives an observation or a reward that is NaN, or beyond ±`LARGEST`.
+    for the physics and PyTorch, they are rounded otherwise. Actions are modes, samples if `sample`
+    is set, or those given. It is a ValueError if seeds, policy and task do not fit, if an episode
+    does not end, or if the task gives an observation or a reward that is NaN, or beyond ±`LARGEST`.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):
@@ -158,9 +159,12 @@ def rollout(
         obs, _ = env.reset()
         while running.any():
             require_end(env_id, len(steps), limit)
-            x = torch.as_tensor(obs, dtype=torch.float32, device=device)
-            noise = rng.normal(action_dim).view(*shape, -1) if sample else None
-            action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
+            if actions is None:
+                x = torch.as_tensor(obs, dtype=torch.float32, device=device)
+                noise = rng.normal(action_dim).view(*shape, -1) if sample else None
+                action = policy.act(x.view(*shape, -1), noise).view(-1, action_dim).cpu().numpy()
+            else:
+                action = actions[:, :, len(steps)].reshape(-1, action_dim)
             next_obs, reward, terminated, truncated, _ = env.step(action)
             seen = {"observation": next_obs[running], "reward": reward[running]}
             require_sound(env_id, f"step {len(steps)} of an episode", **seen)

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from offairl_lite import envs
 from offairl_lite.config import flat_settings
+from offairl_lite.core.collector import part_of
 from offairl_lite.core.loop import Trainer, replay_slots
 from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.replay import Replay
@@ -87,7 +88,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
     """Return a run's checkpoint; None if there is none yet.
 
     FileNotFoundError says that it is gone, ValueError that it or another file is damaged, or that
-    it is of another format or run, or further than the run is to go.
+    it is of another format or run, further than the run is to go, or cannot be played again.
     """
     path, step = folder / CHECKPOINT, records.read_state(folder)["step"]
     if not path.is_file():
@@ -124,6 +125,9 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
             f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
             f"`offairl resume {folder} --steps N` takes any N from {reached} on"
         )
+    if reached < spec.config.total_steps:
+        with closing(envs.make(spec.config.env_id, len(spec.seeds), spec.seeds)) as env:
+            env.set_state({k: x.numpy() for k, x in part_of(state, "collector.env").items()})
     return state, about
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -74,7 +74,7 @@ def demos(
     *,
     trajectories: int | None = None,
     dataset: str | None = None,
-    experts: int | None = None,
+    experts: int | Literal["best"] | None = None,
     policy: str | None = None,
 ) -> None:
     """Make demonstrations of a task where there are none yet, check them, and say what they are.
@@ -86,7 +86,7 @@ def demos(
         env_id: Gymnasium id of the task, for instance offairl/PointMazeLeft-v0.
         trajectories: how many episodes; by default all of a data set that is there, otherwise 50.
         dataset: a Minari data set of your own to check, or with --policy the name of a new one.
-        experts: of how many of the shipped experts; by default of all.
+        experts: of how many of the shipped experts, or of the best; by default of all.
         policy: a run's folder, or a policy's file, to make the data set of: all members take
             turns, and actions are sampled.
     """

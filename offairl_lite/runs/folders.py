@@ -33,9 +33,6 @@ from offairl_lite.runs.records import RunSpec, again, origin, read_state, run_fo
 
 log = logging.getLogger(__name__)
 
-FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
-"""What `run.json` has as the state of a run that is not gone on with."""
-
 
 def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
@@ -128,7 +125,7 @@ def known(folder: Path, task: str | None = None, command: str = "resume") -> Run
 def is_finished(folder: Path) -> bool:
     """Return whether a run folder is at its end. Where every member has diverged, it is."""
     with suppress(ValueError):  # What is damaged is not; who goes on with it is told why.
-        return read_state(folder)["state"] in (FINISHED, DIVERGED)
+        return read_state(folder)["state"] in (records.FINISHED, records.DIVERGED)
     return False
 
 
@@ -163,14 +160,14 @@ class _Worker:
             self.note("running")
             try:
                 complete(self.trainer, progress, self.keep)
-                state = FINISHED
+                state = records.FINISHED
             except FloatingPointError:
-                state = DIVERGED
+                state = records.DIVERGED
             # Whoever diverges before the warm-up is over has no policy yet.
             for result in (self.trainer.policy, self.trainer.reward):
                 if result is not None:
                     records.write_whole(self.folder / records.file_name(type(result)), result.save)
-            if state == FINISHED:
+            if state == records.FINISHED:
                 self.checkpoint()
             self.note(state)  # Last: without this word the end may not have been written.
         except BaseException as error:
@@ -216,7 +213,7 @@ class _Worker:
         about = read_state(self.folder)
         about |= {"state": state, "step": self.step, "diverged": self.trainer.members.diverged}
         curve = (self.folder / "curve.csv").read_bytes()
-        about["curve.csv"] = zlib.crc32(curve) if state == FINISHED else None
+        about["curve.csv"] = zlib.crc32(curve) if state == records.FINISHED else None
         about["wall_s"] = round(time.monotonic() - self.start, 1)
         write_json(self.folder / "run.json", about)
 
@@ -226,16 +223,17 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
 
     More steps are for all run folders of the run. New seeds get a run folder of their own, inside
     `folder`, where `read` finds it; nothing is moved. ValueError says that the run has gone further
-    already, that a seed is there already, that the run builds upon members of another, or that what
-    it began with has changed; OSError that this is gone, that a process is at work on the run, or
-    that the disk has no room.
+    already, that a seed is there already, that the run builds upon members of another, that its
+    task cannot be played again, or that what it began with has changed; OSError that this is gone,
+    that a process is at work on the run, or that the disk has no room. Nothing is changed then. A
+    finished run keeps its policies and rewards until the longer one has its own.
     """
     before = {path: known(path) for path in run_folders(folder)}
     changes = {} if steps is None else {"total_steps": steps}
     specs = {p: replace(spec, config=spec.config.change(**changes)) for p, spec in before.items()}
     with ExitStack() as locks:
         for path, spec in specs.items():
-            checkpoints.load(path, spec)  # It refuses what is damaged, or has gone further.
+            checkpoints.load(path, spec)  # It refuses what cannot go on to there.
             if "dataset" in (spec.demonstrations or {}):
                 inputs.demonstrations_of(path, spec)
             inputs.recorded(path, spec)
@@ -251,11 +249,11 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
         for spec in new:
             create(folder / records.seeds_name(seeds), spec, {})
         for path, spec in specs.items():
-            about = read_state(path)
-            if about["state"] == FINISHED and spec != before[path]:
-                write_json(path / "run.json", about | {"state": "waiting"})
-                for kind in (Policy, Reward):
-                    (path / records.file_name(kind)).unlink(missing_ok=True)
+            about, steps = read_state(path), spec.config.total_steps
+            # Once it waits to go on, the old number of steps makes it finished again.
+            if about["step"] and about["state"] in ("waiting", records.FINISHED):
+                state = records.FINISHED if about["step"] == steps else "waiting"
+                write_json(path / "run.json", about | {"state": state})
             spec.write(path)
 
 

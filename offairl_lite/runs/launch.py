@@ -40,7 +40,8 @@ class Given:
         dataset: A Minari data set to imitate; by default the shipped experts'.
         trajectories: How many of its episodes to use.
         subsample: Use every so many-th transition of each.
-        experts: How many of the shipped experts show the task, from the first on. None: all.
+        experts: How many of the shipped experts show the task, from the first on; or best. None:
+            all.
         frozen_reward: An earlier run, or its reward.safetensors, where the reward is frozen.
             Several become one population.
         pretrained_policy: An earlier run, or its policy.safetensors, where `pretrained` is not
@@ -54,7 +55,7 @@ class Given:
     dataset: str | None = None
     trajectories: int = 50
     subsample: int = 1
-    experts: int | None = None
+    experts: int | Literal["best"] | None = None
     frozen_reward: tuple[Path, ...] = ()
     pretrained_policy: tuple[Path, ...] = ()
     guide: tuple[Path, ...] = ()
@@ -280,6 +281,8 @@ def resume(
     for path in run_folders(folder) if env_id is not None else ():
         folders.known(path, env_id)
     if steps is not None or seeds:
+        for path in run_folders(folder):  # None can be given by hand here.
+            inputs.demonstrations_of(path, folders.known(path))
         folders.extend(folder, steps, seeds)
     paths = run_folders(folder)
     runs = [p.parent if p.name.startswith("seeds-") and p != folder else p for p in paths]

@@ -6,7 +6,7 @@
   produced it (`origin`);
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
-- `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the end;
+- `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the last end;
 - `curve.png`: a picture of the evaluations so far, for whoever watches; no part of the record;
 - `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
@@ -54,6 +54,9 @@ curves can still be read."""
 
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
+
+FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
+"""What `run.json` has as the state of a run that is not gone on with."""
 
 PICTURE = "curve.png"
 
@@ -127,8 +130,9 @@ def run_folders(folder: str | PathLike) -> list[Path]:
 def read(folder: str | PathLike) -> Run:
     """Return a recorded run, finished or not.
 
-    Policies and rewards are None until all run folders have theirs. FileNotFoundError names what is
-    missing, ValueError what is of another version, or of several configurations.
+    Policies and rewards are None until all run folders have theirs, of one length; a run that is
+    extended has those of before until then. FileNotFoundError names what is missing, ValueError
+    what is of another version, or of several configurations.
     """
     specs = {path: RunSpec.read(path) for path in run_folders(folder)}
     first, spec = next(iter(specs.items()))
@@ -143,12 +147,16 @@ def read(folder: str | PathLike) -> Run:
         raise ValueError(f"{folder} holds several runs of the same seeds: read one of them")
     diverged: dict[int, str] = {}
     rows: list[Row] = []
+    ends = set[bool]()
     for path in specs:
         about = read_state(path) if (path / "run.json").is_file() else {"diverged": {}}
+        ends.add(about.get("state", FINISHED) in (FINISHED, DIVERGED))
         diverged |= {int(seed): why for seed, why in about["diverged"].items()}
         rows += _rows(path / "curve.csv", about.get("curve.csv"))
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
+    if len(ends) > 1:  # Some folders of an extended run have what they had before.
+        results = None, None
     config = spec.config.change(env_id=spec.config.env_id.rpartition(":")[2])  # see `Population`
     name = Path(folder).absolute().name
     return Run(config, tuple(seeds), rows, *results, diverged, name)

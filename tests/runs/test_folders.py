@@ -396,6 +396,67 @@ def test_an_extended_run_is_the_longer_run(replay_size, plain, tmp_path):
     assert_same(folder, whole)
 
 
+@pytest.mark.parametrize("entry_point", ["own_task:Noisy", "own_task:scaled"])
+def test_a_finished_run_that_cannot_go_on_stays_as_it_is(entry_point, plain, folder, own, capsys):
+    config = plain.change(env_id=own("own/Noisy-v0", entry_point), total_steps=98)
+    run(folder, config)
+    before, was = files(folder), records.read(folder)
+    with pytest.raises(ValueError, match=r"came out differently when the episodes were played"):
+        folders.extend(folder, 200)
+    with pytest.raises(SystemExit, match="played again, so a run on it cannot be resumed"):
+        cli.main(["resume", str(folder), "--steps", "200"])
+    assert files(folder) == before
+    cli.main(["resume", str(folder), "--steps", "98"])
+    assert f"recorded in {folder}" in capsys.readouterr().out
+    assert files(folder) == before
+    now = records.read(folder)
+    assert now.config == was.config
+    # As lines, since a learned return that is NaN is not equal to itself.
+    assert records.lines(now.rows) == records.lines(was.rows)
+    assert torch.equal(now.policy.params, was.policy.params)
+
+
+def test_a_finished_run_keeps_its_policy_until_the_longer_one_has_its_own(tiny, folder, given):
+    shown, _ = given(MAZE)
+    run(folder, tiny, demonstrations=shown)
+    before, was = files(folder), records.read(folder)
+    with pytest.raises(
+        SystemExit, match=r"began with demonstrations that `demonstrations\.load` d"
+    ):
+        cli.main(["resume", str(folder), "--steps", "300"])
+    assert files(folder) == before
+    folders.extend(folder, 300)
+    replay = folder / "checkpoint" / "replay.f32"
+    sound = replay.read_bytes()
+    replay.write_bytes(b"damage" + sound[6:])
+    with pytest.raises(ValueError, match=r"replay\.f32 is damaged"):
+        folders.work(folder, demonstrations=shown, progress=False)
+    now = records.read(folder)
+    assert now.rows == was.rows
+    assert torch.equal(now.policy.params, was.policy.params)
+    assert torch.equal(now.reward.params, was.reward.params)
+    folders.extend(folder, tiny.total_steps)
+    assert folders.is_finished(folder)
+    assert {path: path.read_bytes() for path in before if path != replay} == {
+        path: content for path, content in before.items() if path != replay
+    }
+    replay.write_bytes(sound)
+    folders.extend(folder, 300)
+    folders.work(folder, demonstrations=shown, progress=False)
+    assert not torch.equal(records.read(folder).policy.params, was.policy.params)
+
+
+def test_policies_of_two_lengths_are_not_joined(plain, tmp_path):
+    for seed in SEEDS:
+        run(tmp_path / f"seeds-{seed}", plain, seeds=(seed,))
+    folders.extend(tmp_path, 200)
+    assert len(records.read(tmp_path).policy) == 2
+    resume(tmp_path / "seeds-3")
+    assert records.read(tmp_path).policy is None
+    resume(tmp_path / "seeds-7")
+    assert len(records.read(tmp_path).policy) == 2
+
+
 def test_seeds_are_added_beside_those_there(plain, tmp_path):
     alone = run(tmp_path / "alone", plain, seeds=(5, 6))
     first = run(tmp_path / "first", plain)
@@ -723,12 +784,13 @@ def test_two_processes_do_not_share_a_run_folder(folder, plain):
     while manifest(folder)["state"] != "running":
         time.sleep(0.01)
         assert process.is_alive()
+    who = f"process {process.pid}" if Path("/proc/locks").exists() else "another process"
     for attempt in (
         lambda: resume(folder),
         lambda: folders.extend(folder, 200),
         lambda: folders.extend(folder, seeds=(8,)),
     ):
-        with pytest.raises(OSError, match=rf"process {process.pid} is at work on .*one: let it f"):
+        with pytest.raises(OSError, match=rf"{who} is at work on .*one: let it f"):
             attempt()
     process.kill()
     process.join()
