@@ -15,11 +15,12 @@ import numpy as np
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
-from offairl_lite import demonstrations, envs
+from offairl_lite import cloning, demonstrations, envs
 from offairl_lite.analysis import films
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.rollouts import rollout
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.minari_storage import closed_task, local_datasets
 from offairl_lite.runs import export as exports
@@ -115,6 +116,48 @@ def demos(
     if longer := (lengths > limit).sum():
         note = f"note: episodes longer than the time limit of {limit} steps: {longer}; if they are"
         print(f"{note} several in one, write them as several recordings", file=sys.stderr)
+
+
+def clone(
+    env_id: Positional[str],
+    *,
+    out: Path,
+    dataset: str | None = None,
+    trajectories: int = 50,
+    experts: int | Literal["best"] | None = None,
+    seeds: tuple[int, ...] = (0,),
+    hidden: tuple[int, ...] = (256, 256),
+    steps: int = 5_000,
+    absorbing_state: bool = False,
+    eval_episodes: int = 10,
+) -> None:
+    """Clone demonstrations: learn their actions, without a step of the task, in about a minute.
+
+    Args:
+        env_id: Gymnasium id of the task.
+        out: the policy's file, such as clones/hopper.safetensors, for `watch`, `demos --policy` or
+            `run --pretrained policy --pretrained-policy`.
+        dataset: a Minari data set of your own; by default the shipped experts'.
+        trajectories: how many of its episodes to use.
+        experts: how many of the shipped experts show the task, from the first on; or best.
+        seeds: of the policies, one for each.
+        hidden: layers of the actor, as of a run that goes on with it.
+        steps: the most minibatches; each policy stops when it no longer learns.
+        absorbing_state: for a run with --absorbing that goes on with it.
+        eval_episodes: episodes in which each is then tried, without noise; 0 for none.
+    """
+    if out.suffix != ".safetensors":
+        raise ValueError(f"out is {out}; expected a policy's file: --out {out}.safetensors")
+    shown = demonstrations.load(env_id, trajectories, dataset, experts=experts)
+    policy = cloning.clone(
+        shown, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state
+    )
+    records.write_whole(out, policy.save)
+    print(f"{out}: {len(policy)} policies; demonstrations return {shown.returns.mean():.2f}")
+    if eval_episodes:
+        returns = rollout(policy, env_id, seeds, eval_episodes).returns
+        for seed, own in zip(seeds, returns, strict=True):
+            print(f"seed {seed}: {own.mean():.2f} (from {own.min():.2f} to {own.max():.2f})")
 
 
 def watch(
@@ -268,6 +311,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "run": launch.run_command(name, size),
             "resume": launch.resume,
             "demos": demos,
+            "clone": clone,
             "watch": watch,
             "tensorboard": tensorboard,
             "export": export,

@@ -228,6 +228,18 @@ def test_watch_takes_a_task_or_a_policy_s_file(capsys, shipped_experts, elsewher
     assert (elsewhere / "films" / "new" / "one.mp4").read_bytes()[4:8] == b"ftyp"
 
 
+def test_clones_are_policies_like_any_other(capsys, shipped_experts, elsewhere):
+    line = "clone offairl/PointMazeLeft-v0 --trajectories 2 --seeds 4 5 --hidden 8 8 --steps 10"
+    message = failure(f"{line} --out left", capsys)
+    assert message.endswith("out is left; expected a policy's file: --out left.safetensors")
+    offairl(f"{line} --out clones/left.safetensors --eval-episodes 2")
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("clones/left.safetensors: 2 policies; demonstrations return -")
+    assert [part.split(":")[0] for part in said[1:]] == ["seed 4", "seed 5"]
+    offairl("watch clones/left.safetensors --member 1 --max-steps 2")
+    assert "film.mp4: 3 frames" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
