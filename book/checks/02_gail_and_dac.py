@@ -206,7 +206,7 @@ def your_imitator_finds_the_way(history):
     the end."""
     scores = np.array([path.reward.sum() for path, _ in history])
     assert scores.max() > -14  # In the trap it is -26.5.
-    assert np.median(scores[-7:]) > -16
+    assert np.median(scores[-5:]) > -16
 
 
 @live
@@ -358,7 +358,7 @@ def a_cost_for_a_reward_drives_away(
 ):
     """With log(1 − D) as a reward the imitator flees to the two rooms on
     the left and never leaves."""
-    assert occupancy(flees)[:2].sum() > 0.9
+    assert occupancy(flees)[:2].sum() > 0.75
     assert distance(flees, expert_A) > 0.9
     assert gone(flees) < 0.01
 

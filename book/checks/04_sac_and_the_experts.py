@@ -156,6 +156,17 @@ def the_ridge_runs_along_the_line_of_energy(x, y, worth, enough):
 
 
 @recorded
+def slow_copies_decide(curves):
+    """SAC and TD3 learn the pendulum in all five seeds; with τ = 1 none
+    does, and none of its last ten episodes returns more than −750."""
+    last = {name: totals[:, -10:] for name, totals in curves.items()}
+    assert {len(totals) for totals in last.values()} == {5}
+    for name in ("SAC", "TD3"):
+        assert np.median(last[name], 1).min() > -250
+    assert last["SAC, τ = 1"].max() < -750
+
+
+@recorded
 def experts_by_the_papers_choice(trained_by, PAPER, RECORDS):
     """Each expert was trained with the temperature, fixed or learned, that
     the paper found best for its task."""

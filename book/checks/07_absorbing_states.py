@@ -100,7 +100,7 @@ def two_ways_to_one_value(learned, predicted, R_T):
     assert all(x[-1] < 0.15 for x in off.values())
     assert off["analytic"][200:].max() < 0.1
     assert off["bootstrap"][600] > 0.1
-    assert off["bootstrap"][1_000] > 0.04
+    assert off["bootstrap"][800] > 0.06
 
 
 @exact
@@ -186,14 +186,14 @@ def expert_falls(kept):
 
 
 @recorded
-def film(kept):
+def film(kept, FRAMES):
     """In the film the expert never falls, the imitator with an absorbing
     state comes farther than the one without, which falls at once."""
-    told = kept["film"]
-    assert told["expert"]["falls"][-1] == 0
-    reached = {name: seen["farthest"][-1] for name, seen in told.items()}
+    last, told = FRAMES - 1, kept["film"]
+    assert told["expert"]["falls"][last] == 0
+    reached = {name: seen["farthest"][last] for name, seen in told.items()}
     assert reached["expert"] > reached["with"] > reached["without"]
-    assert told["without"]["falls"][-1] > 40  # in 400 steps
+    assert told["without"]["falls"][last] > 20  # in 228 steps
 
 
 @recorded
