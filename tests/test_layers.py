@@ -10,7 +10,8 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 config scale core.shapes core.rng core.acceleration envs tabular core.networks core.replay
-core.absorbing core.policies core.rollouts minari_storage demonstrations plain core.rewards
+core.absorbing core.policies core.rollouts minari_storage demonstrations cloning plain
+core.rewards
 core.discriminator core.sac core.td3 core.ppo core.results core.collector core.requirements
 core.models core.fitting core.evaluation core.loop ablations experiments analysis.statistics
 analysis.epic analysis.plots analysis.films runs.records runs.tensorboard runs.inputs

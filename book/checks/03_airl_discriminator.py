@@ -57,8 +57,8 @@ def the_best_discriminator(learned, true_reward, expert):
     """Against any policy the best V is the expert's value, and the best
     reward is the expert's plus log (d_E / d_π)."""
     for r, V, ratio in learned.values():
-        assert np.ptp(V - expert.value) < 1e-8
-        assert np.ptp(r - true_reward - ratio) < 1e-8
+        assert np.ptp(V - expert.value) < 1e-6
+        assert np.ptp(r - true_reward - ratio) < 1e-6
 
 
 @exact
@@ -69,8 +69,8 @@ def when_the_policy_is_the_expert(
     is the expert's."""
     r, V, _ = learned["is the expert"]
     f = (features(mdp) @ np.concatenate([r, V])).reshape(S, A)
-    assert np.allclose(f, expert.log_policy, atol=1e-8)
-    assert np.ptp(r - true_reward) < 1e-8
+    assert np.allclose(f, expert.log_policy, atol=1e-6)
+    assert np.ptp(r - true_reward) < 1e-6
 
 
 @exact
@@ -85,12 +85,12 @@ def visits_need_no_discount(
     )
     r, V = learn(mdp, np.log(imitator), theirs, ours)
     ratio = np.log(theirs.sum(1) / ours.sum(1))
-    assert np.ptp(V - expert.value) < 1e-8
-    assert np.ptp(r - true_reward - ratio) < 1e-8
+    assert np.ptp(V - expert.value) < 1e-6
+    assert np.ptp(r - true_reward - ratio) < 1e-6
     assert np.ptp(ratio - learned["has begun to imitate"][2]) > 0.1
     r, V = learn(mdp, expert.log_policy, theirs, theirs)
-    assert np.ptp(V - expert.value) < 1e-8
-    assert np.ptp(r - true_reward) < 1e-8
+    assert np.ptp(V - expert.value) < 1e-6
+    assert np.ptp(r - true_reward) < 1e-6
 
 
 @exact
@@ -171,7 +171,7 @@ def a_reward_of_state_and_action_fails(
     """The reward r(s, a) of a perfect discriminator fails when the wall
     moves: its correlation with log π_E is 0.95, with the truth 0.42."""
     answers = expert.log_policy.ravel()
-    assert np.abs(pair_features @ least_norm - answers).max() < 1e-8
+    assert np.abs(pair_features @ least_norm - answers).max() < 1e-6
     best, carried = score["true reward"], score[CARRIED]
     assert score["r(s, a), exact"] < carried + 0.2 < best - 1
     if size == "demo":
@@ -321,16 +321,16 @@ def two_logits_for_one(early, late, ours):
     """Two logits for one: against a uniformly random policy the mistake
     does not show, and when the policy has become the expert the reward
     is 0."""
-    assert np.ptp(early - ours) < 1e-8
-    assert np.ptp(late) < 1e-8
+    assert np.ptp(early - ours) < 1e-6
+    assert np.ptp(late) < 1e-6
 
 
 @exact
 def swapped_labels_change_the_signs(learned, swapped_r, swapped_V):
     """With the labels the other way round r and V change their signs."""
     r, V, _ = learned["is uniformly random"]
-    assert np.ptp(r + swapped_r) < 1e-8
-    assert np.ptp(V + swapped_V) < 1e-8
+    assert np.ptp(r + swapped_r) < 1e-6
+    assert np.ptp(V + swapped_V) < 1e-6
     assert np.ptp(swapped_r) > 1
 
 
