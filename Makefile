@@ -28,11 +28,12 @@ export OMP_NUM_THREADS ?= 1
 JOBS ?= $(shell getconf _NPROCESSORS_ONLN | awk '{print ($$1 < 4 ? $$1 : 4)}')
 export IPYTHONDIR := $(CURDIR)/build/ipython
 
-.PHONY: help book stage html test soak system clean
+.PHONY: help book stage html test portable soak system clean
 
 help:
 	@echo 'make book    run every chapter that has changed and render the book'
 	@echo 'make test    run all checks: style, package, chapters, rendered book, browser'
+	@echo 'make portable  repeat pages as other processors would round: PAGES=05_off_policy_airl RUNS=5'
 	@echo 'make soak    kill runs of all kinds at random moments, as long as you like: MINUTES=10'
 	@echo 'make system  install Chromium, which the browser checks need (Debian, Ubuntu; as root)'
 	@echo 'make clean   remove everything the commands above have made'
@@ -75,7 +76,13 @@ test: $(ENV)
 	@tar -cf - $(CHAPTERS) | tar -xf - -C $(STAGE)
 	$(BIN)/pytest -rs -n $(WORKERS) --dist worksteal --ignore tests/book tests $(STAGE)/book $(EXECUTE)
 	$(BIN)/pytest -rs tests/book --book $(STAGE)
+	JOBS=$(JOBS) $(BIN)/python book/portable.py --changed
 	@touch $(RUN)
+
+# Which statements would fail on another machine? PAGES are those with live statements, or some;
+# RUNS adds so many runs to what book/portable.json has of them.
+portable: $(ENV)
+	JOBS=$(JOBS) $(BIN)/python book/portable.py $(PAGES) $(if $(RUNS),--runs $(RUNS))
 
 # Every trial names a seed, with which SOAK_SEED=... does it again.
 soak: $(ENV)

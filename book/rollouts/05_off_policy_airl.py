@@ -1,11 +1,16 @@
 """Episodes of the recorded policies of the maze: the film's paths, where
-they come to rest, and log π of what experts and policies do there.
+they come to rest, and log π of what experts and policies do there. And what
+the page's `retrain` gives, on the reward of its training.
 """
 
+import json
+from pathlib import Path
+
+import gymnasium
 import numpy as np
 import torch
 
-from offairl_lite import demonstrations
+from offairl_lite import demonstrations, plain
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.runs import records
 from rollouts import RECORDS
@@ -39,6 +44,7 @@ def record():
         },
         "carried": carried.returns.mean(1),
         "log_pi": _log_pi(imitation),
+        "retrained": _retrained(),
     }
 
 
@@ -83,3 +89,37 @@ def _log_pi(run):
             "log_pi": value[:, some].numpy().astype(float).round(2),
         }
     return found
+
+
+def _retrained():
+    """Run the page's two trainings; return what the second one gives."""
+    left, right = gymnasium.make(LEFT), gymnasium.make(RIGHT)
+    demos = plain.Batch(
+        *demonstrations.load(LEFT, trajectories=50).transitions
+    )
+    rng = torch.Generator().manual_seed(0)
+    trained = plain.train(left, demos, rng, num_episodes=50, warmup=20)
+    *_, (_, sac, airl, scale) = trained
+    old = plain.policy_of(sac.actor, scale)
+    rng = torch.Generator().manual_seed(0)
+    new = _code_of("retrain")(right, airl.r, scale, rng)
+    right.reset(seed=0)
+    found = {}
+    for name, policy in ("old", old), ("new", new):
+        found[f"{name}_return"] = plain.evaluate(right, policy)
+        found[f"{name}_paths"] = [
+            _rounded(plain.run_episode(right, policy).obs[:, :2])
+            for _ in range(3)
+        ]
+    return found
+
+
+def _code_of(name):
+    """Return a function that a visible cell of the page defines."""
+    page = Path(__file__).parents[1] / "05_off_policy_airl.ipynb"
+    cells = json.loads(page.read_text("utf-8"))["cells"]
+    sources = ["".join(cell["source"]) for cell in cells]
+    (source,) = [x for x in sources if x.startswith(f"def {name}(")]
+    names = dict(vars(plain))
+    exec(source, names)
+    return names[name]
