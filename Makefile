@@ -12,7 +12,7 @@ HTML  := _build/html
 # changed, at each scale apart. (The usual execution caches look at the notebook alone.) If a cell
 # fails, the page is rendered with a mark, and run again the next time.
 CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
-SOURCES  := $(wildcard book/*.py) book/checks/__init__.py book/rollouts/__init__.py $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
+SOURCES  := $(wildcard book/*.py) book/checks/__init__.py $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
 # The seconds of a cell: at most ten minutes, except at full scale.
@@ -46,7 +46,7 @@ book: $(ENV)
 
 # A page's own checks are book/checks/PAGE.py.
 .SECONDEXPANSION:
-$(STAGE)/%.run: % $(SOURCES) $$(wildcard book/checks/$$(basename $$(notdir $$*)).py) $(ENV) | stage
+$(STAGE)/%.run: % $(SOURCES) $$(wildcard book/checks/$$(basename $$(notdir $$*)).py) $$(wildcard book/rollouts/*.py) $(ENV) | stage
 	@cp $< $(STAGE)/$<
 	@echo 'Running $<'
 	@$(BIN)/python book/execute.py run $< $(STAGE) --timeout=$(CELL) && touch $@ || rm -f $@
@@ -79,8 +79,8 @@ test: $(ENV)
 	JOBS=$(JOBS) $(BIN)/python book/portable.py --changed
 	@touch $(RUN)
 
-# Which statements would fail on another machine? PAGES are those with live statements, or some;
-# RUNS adds so many runs to what book/portable.json has of them.
+# Which statements would fail on another machine? PAGES are those that compute something, or some of
+# them; RUNS adds so many runs to what book/portable.json has of them.
 portable: $(ENV)
 	JOBS=$(JOBS) $(BIN)/python book/portable.py $(PAGES) $(if $(RUNS),--runs $(RUNS))
 

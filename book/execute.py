@@ -82,7 +82,11 @@ def report(folder: Path) -> str:
     """Return which pages are marked, and what to do; empty if none is."""
     lines = []
     for path in sorted((folder / "book").rglob("*.ipynb")):
-        short = nbformat.read(path, as_version=4).metadata.get(MARK)
+        notebook = nbformat.read(path, as_version=4)
+        code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+        short = notebook.metadata.get(MARK)
+        if code and not any(cell.execution_count for cell in code):
+            short = "did not run"  # Killed, perhaps, for want of memory.
         if short:
             page = path.relative_to(folder).with_suffix("")
             lines.append(f"  {page}: {short}")
@@ -96,7 +100,7 @@ def report(folder: Path) -> str:
             "not hold here, our margin is wrong: please report it with the "
             "last lines of its page and the name of your processor. If a "
             "page stopped at an error, mend the cause and run `make book` "
-            "again. It runs these pages again, and no others.",
+            "again. It runs the pages that stopped once more.",
         ]
     )
 

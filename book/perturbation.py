@@ -40,7 +40,7 @@ def run(
     quiet = ["--IPKernelApp.log_level=40"]
     client = NotebookClient(
         notebook,
-        timeout=None,
+        timeout=600,
         kernel_name="python3",
         extra_arguments=quiet,
     )

@@ -2,7 +2,7 @@
 
     python book/portable.py [PAGE ...] [--runs N]
 
-runs pages, those with a live statement if none is named, under
+runs pages, those that compute something if none is named, under
 perturbations the size of a rounding error (`perturbation.py`): each 20
 times in all, or N times more. `portable.json` keeps how often each
 statement failed; a page of which the code changes is measured afresh.
@@ -43,9 +43,10 @@ def statements(name: str) -> str:
     return (BOOK / "checks" / f"{name}.py").read_text("utf-8")
 
 
-def live_pages() -> list[str]:
-    """Return the names of the pages with a live statement."""
-    return [p for p in pages() if "@live" in statements(p).splitlines()]
+def computing() -> list[str]:
+    """Return the pages with a live or an exact statement."""
+    kinds = {"@live", "@exact"}
+    return [p for p in pages() if kinds & {*statements(p).splitlines()}]
 
 
 def digest(page: Path) -> str:
@@ -108,7 +109,9 @@ def perturbed(todo: list[tuple[int, str]]) -> Iterator[tuple[str, list]]:
 def measure(names: list[str], more: int | None, changed: bool) -> int:
     """Run pages and say what failed; return 1 if anything ever did."""
     there, entries, todo = pages(), {}, []
-    for name in names or live_pages():
+    for name in names or computing():
+        if name not in there:
+            raise SystemExit(f"no page {name}: {' '.join(there)}")
         entry = entry_of(name, there[name])
         done = runs(entry)
         if changed and done >= RUNS:

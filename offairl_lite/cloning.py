@@ -81,9 +81,13 @@ def clone(
         checked(name, count, Count)
     population = len(seeds)
     obs, pre_tanh, *_ = demonstrations.transitions
+    # Thinned demonstrations have each transition several times, of which one is enough here.
+    distinct = torch.cat([torch.ones(1, dtype=torch.bool), (obs[1:] != obs[:-1]).any(1)])
+    lengths = [int(episode.sum()) for episode in distinct.split(demonstrations.lengths)]
+    obs, pre_tanh = obs[distinct], pre_tanh[distinct]
     obs = absorbing.extend(obs) if absorbing_state else obs
     scaling = Normaliser(*(part.repeat(population, 1, 1) for part in Normaliser.of(obs[None])))
-    obs, out = scaling(obs.expand(population, -1, -1)), held_out(demonstrations.lengths)
+    obs, out = scaling(obs.expand(population, -1, -1)), held_out(lengths)
     learned, rng = (~out).nonzero().squeeze(1), Rng(seeds)
     actor = SquashedGaussian(obs.shape[-1], pre_tanh.shape[-1], checked("hidden", hidden, Sizes))
     optimizer = Adam(actor.init(rng), checked("learning_rate", learning_rate, Positive))
@@ -101,7 +105,7 @@ def clone(
             continue
         with torch.no_grad():
             now = loss((out if out.any() else ~out).nonzero().T.expand(population, -1))
-            better = (now < lowest) & (step - at <= patience)
+            better = (now < lowest) & (lowest.isinf() | (step - at <= patience))
             lowest[better], best[better], at[better] = now[better], optimizer.params[better], step
         if (step - at >= patience).all():
             break

@@ -172,7 +172,8 @@ def load(
     """
     trajectories = checked("trajectories", trajectories, Count)
     subsample = checked("subsample", subsample, Count)
-    experts = experts if experts == "best" else checked("experts", experts, Count | None)
+    several = Annotated[int, "of at least 1, or 'best'", lambda n: n >= 1]
+    experts = experts if experts == "best" else checked("experts", experts, several | None)
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         dataset_id = _made_by_experts(env_id, trajectories, experts)

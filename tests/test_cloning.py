@@ -77,6 +77,20 @@ def test_it_stops_where_nothing_can_be_learned():
     assert policy.act(transitions.obs.expand(2, -1, -1)).abs().mean() < 0.4
 
 
+def test_copies_in_thinned_demonstrations_are_not_held_out_from_themselves():
+    thinned = linear(episodes=2).subsample(5)
+    short = Demonstrations(ENV, Batch(*(p[::5] for p in thinned.transitions)), (20, 20))
+    one, other = (clone(d, (0,), steps=100, **SMALL) for d in (thinned, short))
+    torch.testing.assert_close(one.params, other.params)
+
+
+def test_a_short_patience_keeps_what_the_first_look_saw():
+    policies = [clone(linear(), (0,), steps=n, patience=50, **SMALL) for n in (100, 300)]
+    torch.testing.assert_close(policies[0].params, policies[1].params)
+    first = clone(linear(), (0,), steps=1, **SMALL)
+    assert not torch.allclose(first.params, policies[0].params)
+
+
 def test_a_run_goes_on_with_a_clone(tiny, random_demonstrations):
     """SAC begins with the clone, whose networks know of the absorbing state."""
     demonstrations = random_demonstrations(ENV)

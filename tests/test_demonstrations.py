@@ -1,6 +1,7 @@
 import hashlib
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -362,6 +363,14 @@ def test_more_experts_than_are_shipped_are_refused(minari_folder, shipped_expert
         load(MAZE, 3, experts=experts)
 
 
+# MuJoCo rounds otherwise on other kinds of processor, and the experts act anew there.
+on_x86 = pytest.mark.skipif(
+    platform.machine().lower() not in ("x86_64", "amd64"),
+    reason="the shipped demonstrations are the same on x86 alone",
+)
+
+
+@on_x86
 @pytest.mark.parametrize("path", sorted(demonstrations.EXPERTS.glob("*.safetensors")))
 def test_the_shipped_demonstrations_are_the_same_on_this_machine(path, minari_folder, monkeypatch):
     """`write_reference` has been called since the experts last changed."""
@@ -376,12 +385,14 @@ def test_the_shipped_demonstrations_are_the_same_on_this_machine(path, minari_fo
     assert abs(returns.mean() - np.mean(wanted["mean_returns"])) < 5 * standard_error
 
 
+@on_x86
 def test_what_experts_demonstrate_is_noted_for_so_many_of_them(minari_folder):
     wanted = json.loads(demonstrations.expert_file(MAZE).with_suffix(".json").read_text())
     for n, mean in enumerate(wanted["demonstrated"], 1):
         np.testing.assert_allclose(load(MAZE, experts=n).returns.mean(), mean, atol=1e-4)
 
 
+@on_x86
 @pytest.mark.parametrize("instructions", ["default", "avx2"])
 def test_demonstrations_do_not_depend_on_how_networks_are_rounded(
     instructions, minari_folder, tmp_path
@@ -427,6 +438,7 @@ def test_where_shipped_actions_lead_elsewhere_the_experts_act_anew(
     assert f"Demonstrations of {MAZE} are sampled on this machine, and differ" in message
 
 
+@on_x86
 def test_more_demonstrations_than_are_shipped_are_sampled(minari_folder, caplog):
     demonstrations._say_that_they_differ.cache_clear()
     fifty = load(MAZE, 50, experts=1)
@@ -446,7 +458,9 @@ def test_the_best_expert_can_show_alone(minari_folder, tmp_path, monkeypatch):
     assert best.source["experts"] == "best"
     for alone, together in zip(best.transitions, all_five.transitions, strict=True):
         assert torch.equal(alone, together.view(10, 100, -1)[[2, 7]].reshape(alone.shape))
-    with pytest.raises(ValueError, match=r"experts is 'worst'; expected .* in \[1, 5\], or 'best'"):
+    with pytest.raises(
+        ValueError, match=r"experts is 'worst'; expected .* of at least 1, or 'best'"
+    ):
         load(MAZE, 2, experts="worst")
 
 

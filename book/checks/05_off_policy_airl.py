@@ -50,7 +50,7 @@ def the_trap(evaluate, LEFT, expert):
     assert abs(expert.returns.mean() + 6.5) < 0.1
 
 
-@recorded
+@live
 def the_maze_forgives_the_bias(imitation, demos):
     """At random actions log π of recorded policies is -2 to -9 in the
     median, and their rewards differ by more than 5 between places."""
@@ -91,8 +91,7 @@ def both_additions_are_needed(past):
 
 @live
 def it_crosses_the_maze(curve, paths):
-    """Your agent leaves the trap, crosses the maze and ends behind the
-    star."""
+    """Your agent leaves the trap and passes the barrier."""
     late = median(value for _, value in curve[-3:])
     assert late > -18
     assert median(float(path[-1, 1]) for path in paths) > GOAL[1] - 0.05
@@ -153,7 +152,7 @@ def old_policies_are_stuck(kept):
     assert (kept["carried"] < -24).all()
 
 
-@recorded
+@live
 def large_networks(expert):
     """With the paper's networks all ten seeds are above the demonstrations
     after 30,000 steps, and return more than -6.5 after 40,000."""

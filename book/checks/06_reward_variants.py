@@ -290,7 +290,7 @@ def a_discriminator_s_shaping_is_ignored(samples):
     assert fair[0, 1] < 1e-3
 
 
-@exact
+@live
 def what_the_task_pays(expert, true_reward):
     """The true reward is minus the distance to the star, apart from a tiny
     cost of the action."""
@@ -299,7 +299,7 @@ def what_the_task_pays(expert, true_reward):
     assert torch.allclose(paid, steps.reward, atol=1e-3)
 
 
-@recorded
+@live
 def nearest_reward(truth, far):
     """By the median, Implementation 4's rewards are nearest to the true
     one and those of DAC farthest off, but much nearer than unrelated
@@ -312,7 +312,7 @@ def nearest_reward(truth, far):
     assert far[0].max() < 0.2
 
 
-@recorded
+@live
 def scattered_rewards(labels, means):
     """The rewards of Implementations 1 and 2 are scattered; those of the
     others agree with one another."""

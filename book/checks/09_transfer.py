@@ -71,8 +71,8 @@ def it_is_a_listed_experiment(config, imitation, size):
 
 @live
 def one_leaves_the_trap(moved):
-    """The reward from the right leads a new policy through the left
-    maze."""
+    """On the reward from the right at least one new policy leaves the
+    trap."""
     assert moved.returns.max() > -20
 
 

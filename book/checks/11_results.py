@@ -126,8 +126,8 @@ def what_the_comparisons_show(FOUND):
 
 @recorded
 def against_dac_by_the_recipe(recipe, larger):
-    """By the recipe off-policy AIRL is ahead of DAC on Walker2d with small
-    networks, and with paper-size networks nowhere clearly."""
+    """With the recipe off-policy AIRL is ahead of DAC on Walker2d with
+    small networks, and with paper-size networks nowhere clearly."""
     assert recipe.startswith("ahead on Walker2d, no clear difference")
     robots = "Hopper, Walker2d and HalfCheetah"
     assert larger == f"no clear difference on {robots}"
@@ -165,7 +165,7 @@ def small_networks(ON_ROBOTS):
 
 @recorded
 def all_four_robots(PAIRS, of_demonstrations):
-    """By the recipe off-policy AIRL imitates all four robots, with five
+    """With the recipe off-policy AIRL imitates all four robots, with five
     seeds a side."""
     for robot, pair in PAIRS.items():
         assert all(len(run.seeds) == 5 for run in pair)

@@ -136,12 +136,16 @@ def _evidence(statement: Callable, error: Exception) -> str:
         return f"{type(error).__name__}: {message}"[:300]
     lines, first = inspect.getsourcelines(statement)
     tree = ast.parse(textwrap.dedent("".join(lines)))
-    (test,) = (
+    line = frame.tb_lineno - first + 1
+    tests = [
         node.test
         for node in ast.walk(tree)
         if isinstance(node, ast.Assert)
-        and node.lineno <= frame.tb_lineno - first + 1 <= node.end_lineno
-    )
+        and node.lineno <= line <= node.end_lineno
+    ]
+    if len(tests) != 1:  # It is in a function that the statement calls.
+        return "AssertionError"
+    (test,) = tests
     names = {**frame.tb_frame.f_globals, **frame.tb_frame.f_locals}
     sides = [
         side

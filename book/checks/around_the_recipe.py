@@ -164,7 +164,7 @@ def the_factor_on_hopper(SCALED, PLAIN):
 @recorded
 def the_factor_with_the_exact_policy(percent, PLAIN, OURS):
     """With the exact log π and f/α HalfCheetah returns -3 to 47 %, clearly
-    more than without the factor and clearly less than by the recipe."""
+    more than without the factor and clearly less than with the recipe."""
     ran = PLAIN["HalfCheetah"]
     assert _around(ran) == [-3, 47]
     assert _clear(ran, percent["HalfCheetah-exact-fixed-short"]) == 1

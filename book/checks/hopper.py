@@ -274,7 +274,7 @@ def six_motors_stand_still_at_one(kept):
 @recorded
 def cheetah_runs_with_a_learned_temperature(penalised):
     """HalfCheetah runs at a learned temperature, and at 1 with a penalty of
-    0.1 in the place of 10."""
+    0.1 instead of 10."""
     means = {
         key: run.returns[:, -5:].mean(1) for key, run in penalised.items()
     }

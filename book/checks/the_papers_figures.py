@@ -103,7 +103,7 @@ def runs_of_figure_4():
 
 @recorded
 def recipe_against_dac(FOUND):
-    """By the recipe, with the largest networks, no difference is clear."""
+    """With the recipe and the largest networks no difference is clear."""
     assert {each.seen for each in FOUND[2]} == {"unclear"}
 
 
@@ -322,7 +322,7 @@ def actors_are_alike(running, walking, same):
 
 @recorded
 def claim_5(FOUND, INSTEAD):
-    """By the recipe, too, nothing is certain of SAC-MCP, and on the maze
+    """With the recipe, too, nothing is certain of SAC-MCP, and on the maze
     all three actors come to the same return."""
     assert {each.seen for each in FOUND[5]} == {"unclear"}
     assert set(at_demo(CLAIMS[5].instead)) == {"unclear"}

@@ -33,6 +33,8 @@ class StatePairsConfig(DiscriminatorConfig):
         yield from super().conflicts()
         if self.reward not in OF_LOGIT:
             yield f"reward {self.reward!r} has a form of its own: use reward='dac', or gail's"
+        if self.reward_sees is not None:
+            yield f"reward_sees is {self.reward_sees}, and g sees both states whole: set it to None"
 
 
 class StatePairs(Discriminator):
@@ -47,6 +49,11 @@ class StatePairs(Discriminator):
         """Return transitions as the discriminator sees them: without their actions."""
         transitions = super().seen(batch)
         return transitions._replace(action=transitions.next_obs)
+
+    @property
+    def frozen(self) -> None:  # type: ignore[override]
+        """There is no r(s) or r(s, a) to use again: g judges steps."""
+        return None
 
     @torch.no_grad()
     def reward(self, batch: Batch, log_density: LogDensity) -> Vector:

@@ -4,6 +4,7 @@ import pytest
 import torch
 from discriminators import CONFIGS, data, make
 
+from offairl_lite.core.loop import train
 from offairl_lite.core.rewards import dac, gail_survival
 
 
@@ -31,3 +32,13 @@ def test_its_reward_is_that_of_its_logit(name, form):
 def test_rewards_with_a_form_of_their_own_are_refused():
     with pytest.raises(ValueError, match="reward 'implementation-4' has a form of its own"):
         CONFIGS["state pairs"].change(reward="implementation-4")
+
+
+def test_it_trains_and_leaves_a_policy_and_no_reward(tiny, random_demonstrations):
+    config = tiny.change(reward="dac", ablation="state-pairs", absorbing="bootstrap")
+    run = train(config, (0, 1), random_demonstrations(config.env_id), progress=False)
+    assert len(run.policy) == 2
+    assert run.reward is None
+    assert len(run.rows) == 2 * 2
+    with pytest.raises(ValueError, match=r"reward_sees is \(0,\), and g sees both states whole"):
+        config.change(absorbing="none", reward_sees=(0,))

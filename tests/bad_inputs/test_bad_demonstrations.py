@@ -185,8 +185,8 @@ def test_nothing_is_written_of(refused, arm, given, words):
         ({"subsample": 0}, f"subsample is 0; {WHOLE} of at least 1"),
         ({"subsample": 2.5}, f"subsample is 2.5; {WHOLE} of at least 1"),
         ({"subsample": True}, f"subsample is True; {WHOLE} of at least 1"),
-        ({"experts": 0}, f"experts is 0; {WHOLE} of at least 1, or None"),
-        ({"experts": "1"}, f"experts is '1'; {WHOLE} of at least 1, or None"),
+        ({"experts": 0}, f"experts is 0; {WHOLE} of at least 1, or 'best', or None"),
+        ({"experts": "1"}, f"experts is '1'; {WHOLE} of at least 1, or 'best', or None"),
         ({"experts": 9, "env_id": MAZE, "dataset_id": None}, f"experts is 9; {WHOLE} in [1, 2]"),
     ],
 )

@@ -1,4 +1,4 @@
-"""A page that does not go well here costs nobody the book: it is marked, and rendered."""
+"""A page that does not go well here is marked, and the book is rendered all the same."""
 
 import shutil
 import subprocess

@@ -147,7 +147,7 @@ def toy(tmp_path, monkeypatch):
 
 
 def test_failures_are_counted(toy, tmp_path, capsys, monkeypatch):
-    assert portable.live_pages() == ["toy"]
+    assert portable.computing() == ["toy"]
     outcomes = perturbation.run(toy, 0, tmp_path, toy.parent)
     assert [(each["name"], each["evidence"]) for each in outcomes] == [
         ("nearly", ""),
@@ -179,8 +179,8 @@ def test_no_statement_of_the_book_has_failed_elsewhere():
     assert sum(portable.runs(entry) for entry in entries) > 0
 
 
-def test_live_pages_are_found_by_what_their_statements_say():
+def test_pages_that_compute_are_found_by_what_their_statements_say():
     for name in portable.pages():
         module = importlib.import_module("checks")
         kinds = {each.kind for each in module.statements(name)}
-        assert ("live" in kinds) == (name in portable.live_pages())
+        assert bool(kinds & {"live", "exact"}) == (name in portable.computing())
