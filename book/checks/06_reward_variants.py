@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from checks import exact, recorded
+from checks import exact, live, recorded
 from offairl_lite import demonstrations, experiments
 from offairl_lite.analysis import epic
 from offairl_lite.config import differences

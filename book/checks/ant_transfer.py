@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from checks import exact, recorded
+from checks import exact, live, recorded
 from offairl_lite import envs
 from offairl_lite.analysis.statistics import difference
 from offairl_lite.config import differences
