@@ -366,7 +366,7 @@ def test_a_record_can_be_read_at_any_time(folder, plain, monkeypatch):
 
 def test_the_manifest_says_what_made_the_run(interrupted, folder):
     first = manifest(folder)
-    assert first["versions"]["torch"] == torch.__version__
+    assert first["versions"]["torch"].split("+")[0] == torch.__version__.split("+")[0]
     assert set(first["versions"]) == set(records.PACKAGES)
     assert first["processor"]
     assert (first["threads"], first["cores"]) == (1, os.cpu_count())
