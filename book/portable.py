@@ -45,8 +45,8 @@ def statements(name: str) -> str:
 
 def computing() -> list[str]:
     """Return the pages with a live or an exact statement."""
-    kinds = {"@live", "@exact"}
-    return [p for p in pages() if kinds & {*statements(p).splitlines()}]
+    marks = ("\n@live", "\n@exact")
+    return [p for p in pages() if any(m in statements(p) for m in marks)]
 
 
 def digest(page: Path) -> str:

@@ -14,6 +14,7 @@ is kept beside it, `records/rollouts/NAME.mp4`.
 
 import importlib
 import json
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -33,9 +34,12 @@ def read(name: str) -> dict[str, Any]:
     return _arrays(json.loads((KEPT / f"{name}.json").read_text("utf-8")))
 
 
-def film(name: str, width: int, height: int, caption: str) -> HTML:
+def film(name: str, caption: str) -> HTML:
     """Return a player of a recorded film."""
     recorded = (KEPT / f"{name}.mp4").read_bytes()
+    # The header of an MP4's track ends with its size, in 65,536ths of a pixel.
+    size = struct.unpack_from(">II", recorded, recorded.index(b"tkhd") + 80)
+    width, height = (side >> 16 for side in size)
     player = mediapy.html_from_compressed_video(recorded, width, height)
     return HTML(
         f"<figure>{player}<figcaption>{caption}</figcaption></figure>"
