@@ -86,8 +86,8 @@ def three_rewards_work(final):
 @recorded
 def learned_return_follows_or_not(correlation):
     """Implementation 4's learned return rises with the true one in all
-    seeds; DAC's falls in four of five; those of Implementations 1 and 2
-    may do either."""
+    seeds; DAC's falls in four of five, and those of Implementations 1 and 2
+    in one at least."""
     assert correlation["implementation-4"].min() > 0.7
     assert (correlation["dac"] < 0).sum() == 4
     for name in LOGIT:
@@ -330,15 +330,15 @@ def the_wall_moves(arrived):
 @recorded
 def robots(robot_runs, percent):
     """After 100,000 steps the released loss imitates about as well as DAC
-    on Hopper and HalfCheetah, and better on Walker2d. Many of Hopper's
-    demonstrations fall early."""
+    on Hopper and HalfCheetah, and better on Walker2d. Hopper's
+    demonstrations return much less than its expert without noise."""
     for run in robot_runs.values():
         assert run.steps[-1] == 100_000
         assert len(run.seeds) == 5
     assert percent["Walker2d", "released"] > 2 * percent["Walker2d", "dac"]
     for robot in ("Hopper", "HalfCheetah"):
         gap = percent[robot, "dac"] - percent[robot, "released"]
-        assert gap < 20
+        assert abs(gap) < 20
     about = records.read_json(demonstrations.EXPERTS / "Hopper.json")
     assert about["demonstrated"][0] < 0.7 * about["returns"][0]
 

@@ -7,7 +7,7 @@ import scipy.integrate
 import scipy.stats
 import torch
 
-from checks import exact, live, recorded
+from checks import demo_scale_only, exact, live, recorded
 from offairl_lite import demonstrations
 from offairl_lite.ablations.released import ReleasedProduct
 from offairl_lite.analysis.statistics import difference
@@ -138,17 +138,17 @@ def fixed_primitives(learns):
 @live
 def the_seed_trained_here(run, size):
     """The seed that is trained here leaves the trap."""
-    if size == "demo":
-        assert run.returns[0].max() > -20
+    demo_scale_only(size)
+    assert run.returns[0].max() > -20
 
 
 @recorded
 def it_is_one_of_five(five, config, seeds, size):
     """The five recorded seeds are those of the page's configuration."""
-    if size == "demo":
-        assert five.seeds == seeds
-        assert five.config == config
-        assert (five.returns[:, -1] > BAR).all()
+    demo_scale_only(size)
+    assert five.seeds == seeds
+    assert five.config == config
+    assert (five.returns[:, -1] > BAR).all()
 
 
 @recorded
@@ -194,29 +194,29 @@ def weights_of_the_actors(full_runs):
 def who_leads(most, least, size):
     """In every seed one primitive leads in a large part of the maze, and
     one hardly anywhere."""
-    if size == "demo":
-        assert 0.4 < min(most) < max(most) < 0.8
-        assert max(least) < 0.05
+    demo_scale_only(size)
+    assert 0.4 < min(most) < max(most) < 0.8
+    assert max(least) < 0.05
 
 
 @recorded
 def who_leads_above_the_barrier(parts, policy, places, size):
     """Above the barrier primitive 1 leads on the left and primitive 4 on
     the right."""
-    if size == "demo":
-        x, y = places.view(-1, 3)[:, :2].T.numpy()
-        leader = parts(policy, places)[1].argmax(1)
-        assert (leader[(y > 0.35) & (x < 0.2)] == 0).mean() > 0.8
-        assert (leader[(y > 0.35) & (x > 0.35)] == 3).mean() > 0.8
+    demo_scale_only(size)
+    x, y = places.view(-1, 3)[:, :2].T.numpy()
+    leader = parts(policy, places)[1].argmax(1)
+    assert (leader[(y > 0.35) & (x < 0.2)] == 0).mean() > 0.8
+    assert (leader[(y > 0.35) & (x > 0.35)] == 3).mean() > 0.8
 
 
 @live
 def the_gate_rests(along, size):
     """The gate moves while the particle is on its way, and rests when the
     particle does."""
-    if size == "demo":
-        moves = np.abs(np.diff(along, axis=0)).sum(1)
-        assert moves[50:].sum() < 0.2 * moves[:50].sum()
+    demo_scale_only(size)
+    moves = np.abs(np.diff(along, axis=0)).sum(1)
+    assert moves[50:].sum() < 0.2 * moves[:50].sum()
 
 
 @exact
@@ -235,10 +235,10 @@ def a_gate_only_chooses(policy, places):
 def chance_decides(shares, size):
     """Some seeds offer the push to the left in most places, and others in
     few; seed 0 offers it in the most."""
-    if size == "demo":
-        assert max(shares) - min(shares) > 0.3
-        assert max(shares) > 0.5 > min(shares)
-        assert np.argsort(shares)[-2:].tolist() == [4, 0]
+    demo_scale_only(size)
+    assert max(shares) - min(shares) > 0.3
+    assert max(shares) > 0.5 > min(shares)
+    assert np.argsort(shares)[-2:].tolist() == [4, 0]
 
 
 @recorded

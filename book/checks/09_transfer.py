@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from checks import exact, live, recorded
+from checks import demo_scale_only, exact, live, recorded
 from offairl_lite import experiments
 from offairl_lite.analysis.statistics import compare_successes
 from offairl_lite.config import Frozen, differences
@@ -88,25 +88,25 @@ def all_arrive_in_the_record(back):
 def where_the_old_policies_stop(there, carried, seeds, size):
     """The old policies stop under the barrier on the side of the old gap,
     and return less than a particle in the trap."""
-    if size == "demo":
-        assert (carried < -27).all()
-        found = rollout(there.policy, LEFT, seeds, 1).next_obs
-        rest = found[:, 0, -1, :2]
-        assert (rest[:, 0] < GOAL[0] - 0.1).all()
-        assert (rest[:, 1] < 0.3).all()
+    demo_scale_only(size)
+    assert (carried < -27).all()
+    found = rollout(there.policy, LEFT, seeds, 1).next_obs
+    rest = found[:, 0, -1, :2]
+    assert (rest[:, 0] < GOAL[0] - 0.1).all()
+    assert (rest[:, 1] < 0.3).all()
 
 
 @recorded
 def rewards_from_both_sides(source, there, values, places, size):
     """The rewards learned on the left and on the right correlate at more
     than 0.97 with one another, and at more than 0.96 with a hill."""
-    if size == "demo":
-        left, right = values(source.reward), values(there.reward)
-        alike = [np.corrcoef(a, b)[0, 1] for a in left for b in right]
-        assert min(alike) > 0.97
-        distance = np.linalg.norm(places[:, :2] - GOAL, axis=1)
-        for reward in (*left, *right):
-            assert np.corrcoef(reward, -distance)[0, 1] > 0.96
+    demo_scale_only(size)
+    left, right = values(source.reward), values(there.reward)
+    alike = [np.corrcoef(a, b)[0, 1] for a in left for b in right]
+    assert min(alike) > 0.97
+    distance = np.linalg.norm(places[:, :2] - GOAL, axis=1)
+    for reward in (*left, *right):
+        assert np.corrcoef(reward, -distance)[0, 1] > 0.96
 
 
 # ---- What to keep of the policy ----

@@ -154,6 +154,7 @@ def small_networks(ON_ROBOTS):
         for each in CLAIMS[n].comparisons + CLAIMS[n].instead
         if not each.one.startswith("maze")
     ]
+    assert any(runs)
     for run in filter(None, runs):
         assert run.config.learner.hidden == (64, 64)
         assert run.steps[-1] <= CORRECTED.total_steps / 2

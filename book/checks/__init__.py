@@ -31,12 +31,20 @@ KINDS = {
 
 
 class Outcome(NamedTuple):
-    """What became of a statement; `evidence` is empty if it holds."""
+    """What became of a statement; `evidence` is empty if it holds.
+
+    A statement about demo scale is not `checked` at full scale.
+    """
 
     name: str
     kind: str
     sentence: str
     evidence: str
+    checked: bool = True
+
+
+class OtherScaleError(Exception):
+    """A statement says nothing of the scale at which its page has run."""
 
 
 def exact(function: Callable) -> Callable:
@@ -56,6 +64,16 @@ def live(function: Callable) -> Callable:
     of them, with a margin: `make portable` measures it.
     """
     return _statement(function, "live")
+
+
+def demo_scale_only(size: str) -> None:
+    """Leave a statement that says something of demo scale alone.
+
+    Raises:
+        OtherScaleError: the page has run at another scale.
+    """
+    if size != "demo":
+        raise OtherScaleError
 
 
 def _statement(function: Callable, kind: str) -> Callable:
@@ -94,18 +112,24 @@ def hold(page: str, results: Mapping[str, Any]) -> None:
 
 def report(page: str, outcomes: list[Outcome]) -> str:
     """Return what a reader is told, as Markdown."""
+    checked = [each for each in outcomes if each.checked]
     counts = {
-        words: sum(each.kind == kind for each in outcomes)
+        words: sum(each.kind == kind for each in checked)
         for kind, words in KINDS.items()
     }
     kinds = ", ".join(f"{n} {words}" for words, n in counts.items() if n)
     about = f"({kinds}; `book/checks/{page}.py`)"
+    left = len(outcomes) - len(checked)
+    rest = (
+        f" {left} more are about demo scale: not checked." if left else ""
+    )
     failed = [each for each in outcomes if each.evidence]
     if not failed:
-        return f"All {len(outcomes)} statements of this page hold {about}."
+        number = len(checked)
+        return f"All {number} statements of this page hold {about}.{rest}"
     first = (
-        f"**{len(failed)} of {len(outcomes)} statements of this page do "
-        f"not hold on this machine** {about}:"
+        f"**{len(failed)} of {len(checked)} statements of this page do "
+        f"not hold on this machine** {about}.{rest}"
     )
     return "\n".join([first, "", *(f"- {_line(each)}" for each in failed)])
 
@@ -116,14 +140,18 @@ def _line(outcome: Outcome) -> str:
 
 
 def _outcome(statement: Callable, results: Mapping[str, Any]) -> Outcome:
-    evidence = ""
+    evidence, checked = "", True
     try:
         needed = inspect.signature(statement).parameters
         statement(**{name: results[name] for name in needed})
+    except OtherScaleError:
+        checked = False
     except Exception as error:  # A page is shown whatever happens.
         evidence = _evidence(statement, error)
     sentence = " ".join(inspect.getdoc(statement).split())
-    return Outcome(statement.__name__, statement.kind, sentence, evidence)
+    return Outcome(
+        statement.__name__, statement.kind, sentence, evidence, checked
+    )
 
 
 def _evidence(statement: Callable, error: Exception) -> str:

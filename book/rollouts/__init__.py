@@ -37,7 +37,7 @@ def read(name: str) -> dict[str, Any]:
 def film(name: str, caption: str) -> HTML:
     """Return a player of a recorded film."""
     recorded = (KEPT / f"{name}.mp4").read_bytes()
-    # The header of an MP4's track ends with its size, in 65,536ths of a pixel.
+    # A track's header ends with its size, in 65,536ths of a pixel.
     size = struct.unpack_from(">II", recorded, recorded.index(b"tkhd") + 80)
     width, height = (side >> 16 for side in size)
     player = mediapy.html_from_compressed_video(recorded, width, height)
@@ -76,4 +76,6 @@ def _plain(value: Any) -> Any:
 def _arrays(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _arrays(part) for key, part in value.items()}
+    if isinstance(value, list) and any(isinstance(x, dict) for x in value):
+        return [_arrays(part) for part in value]
     return np.array(value) if isinstance(value, list) else value

@@ -77,7 +77,24 @@ def test_a_statement_that_does_not_hold_says_by_how_much(page, change, evidence)
 def test_a_statement_whose_result_is_missing_does_not_hold(page):
     without = {name: value for name, value in GOOD.items() if name != "returns"}
     (outcome,) = (outcome for outcome in check("page", without) if outcome.evidence)
-    assert outcome == ("learns", "live", "The agent learns.", "KeyError: 'returns'")
+    assert outcome[:4] == ("learns", "live", "The agent learns.", "KeyError: 'returns'")
+
+
+def test_a_statement_about_demo_scale_is_not_counted_at_full_scale(page, tmp_path):
+    (tmp_path / "page.py").write_text(
+        "from checks import demo_scale_only, exact\n\n"
+        "@exact\ndef small(size):\n"
+        "    'It is small.'\n    demo_scale_only(size)\n    assert False\n\n"
+        "@exact\ndef true():\n    'It is true.'\n"
+    )
+    (failed, _), (left, _) = (check("page", {"size": size}) for size in ("demo", "full"))
+    assert failed.evidence
+    assert failed.checked
+    assert not left.evidence
+    assert not left.checked
+    text = checks.report("page", check("page", {"size": "full"}))
+    assert text.startswith("All 1 statements of this page hold (1 exact mathematics")
+    assert text.endswith("1 more are about demo scale: not checked.")
 
 
 def test_only_the_tests_turn_a_failure_into_an_error(page, monkeypatch):
