@@ -49,7 +49,7 @@ def run(
             "OFFAIRL_STRICT": "",
             "OFFAIRL_SCALE": "demo",
             "OMP_NUM_THREADS": "1",
-            "PYTHONPATH": str(book),
+            "PYTHONPATH": os.pathsep.join([str(book), str(book.parent)]),
             "IPYTHONDIR": f"{folder}/ipython",
             # Demonstrations that are made here are perturbed, too.
             "MINARI_DATASETS_PATH": f"{scratch}/minari-{number}",

@@ -4,12 +4,13 @@
 
 runs pages, those that compute something if none is named, under
 perturbations the size of a rounding error (`perturbation.py`): each 20
-times in all, or N times more. `portable.json` keeps how often each
+times in all, 5 times if all its statements are exact, or N times more.
+`portable.json` keeps how often each
 statement failed; a page of which the code changes is measured afresh.
 
     python book/portable.py --changed
 
-runs each page once that has not been run 20 times as it is now, and keeps
+runs each page once that has not been run so often as it is now, and keeps
 nothing: `make test` does so.
 """
 
@@ -29,6 +30,9 @@ import perturbation
 BOOK = Path(__file__).parent
 LEDGER = BOOK / "portable.json"
 RUNS = 20
+"""Of a page with a live statement."""
+RUNS_OF_EXACT = 5
+"""Of a page whose statements are all exact, or read from records."""
 
 
 def pages() -> dict[str, Path]:
@@ -45,8 +49,14 @@ def statements(name: str) -> str:
 
 def computing() -> list[str]:
     """Return the pages with a live or an exact statement."""
-    marks = ("\n@live", "\n@exact")
-    return [p for p in pages() if any(m in statements(p) for m in marks)]
+    return [name for name in pages() if needed(name)]
+
+
+def needed(name: str) -> int:
+    """Return how many runs a page must have had."""
+    if "\n@live" in statements(name):
+        return RUNS
+    return RUNS_OF_EXACT if "\n@exact" in statements(name) else 0
 
 
 def digest(page: Path) -> str:
@@ -114,10 +124,11 @@ def measure(names: list[str], more: int | None, changed: bool) -> int:
             raise SystemExit(f"no page {name}: {' '.join(there)}")
         entry = entry_of(name, there[name])
         done = runs(entry)
-        if changed and done >= RUNS:
+        left = needed(name) - done
+        if changed and left <= 0:
             continue
         entries[name] = entry
-        last = done + (1 if changed else more or RUNS - done)
+        last = done + (1 if changed else more or left)
         todo += [(number, name) for number in range(done + 1, last + 1)]
     for name, outcomes in perturbed(sorted(todo)) if todo else ():
         add(entries[name], outcomes)

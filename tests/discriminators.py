@@ -11,6 +11,7 @@ from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Layout
 
 OBS, ACT, B, HORIZON = 3, 2, 4, 2
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
@@ -44,16 +45,13 @@ AIRL = [name for name in CONFIGS if "r(s" in name]
 
 
 def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
-    """A discriminator with a random normaliser; double precision, unless it is to be trained."""
-    normaliser = Normaliser(Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS))
+    """A discriminator with random weights; double precision, unless it is to be trained."""
     horizon = HORIZON if config.reward == "gan-gcl" else 1
-    made = make_discriminator(
-        config.discriminator, OBS, ACT, Rng(seeds), normaliser, horizon, config.env_id
-    )
+    made = make_discriminator(config.discriminator, Layout(len(seeds), OBS, ACT), horizon)
+    made.init(Rng(seeds))
     if learning_rate is not None:
         made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate
     if dtype == torch.float64:
-        made.normaliser = Normaliser(*(part.double() for part in normaliser))
         made.reward_params = made.reward_params.detach().double().requires_grad_()
         made.value_params = made.value_params.detach().double().requires_grad_()
         if isinstance(made, SpectralNorm):
@@ -87,6 +85,31 @@ def apart(batches, shift=2.0):
     return expert._replace(obs=expert.obs + shift, next_obs=expert.next_obs + shift), *rest
 
 
+def seen(discriminator, batch, log_prob=None):
+    """Transitions as a discriminator looks at them; without log π where it needs none."""
+    if log_prob is None or not discriminator.needs_log_prob:
+        log_prob = torch.zeros_like(batch.reward)
+    return discriminator.transitions(batch, log_prob)
+
+
+def minibatch(discriminator, expert, policy, expert_log_prob, policy_log_prob, mixing):
+    """The arguments of an update."""
+    sides = (expert, expert_log_prob), (policy, policy_log_prob)
+    return *(seen(discriminator, *side) for side in sides), mixing
+
+
 def loss_of(discriminator, *batches):
     """The loss, and diagnostics."""
-    return discriminator.loss(discriminator.judge(*batches))
+    return discriminator.loss(*minibatch(discriminator, *batches))
+
+
+def update(discriminator, *batches):
+    """Make one update."""
+    return discriminator.update(*minibatch(discriminator, *batches))
+
+
+def frozen(discriminator):
+    """The reward as it is now."""
+    members, dtype = len(discriminator.reward_params), discriminator.reward_params.dtype
+    scaling = Normaliser(*(x.to(dtype) for x in Normaliser.identity(members, OBS)))
+    return discriminator.snapshot("", scaling)

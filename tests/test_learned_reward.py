@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TransformReward
 
-from offairl_lite.core.absorbing import is_absorbing
+from offairl_lite.core.absorbing import is_absorbing, loop_of, with_analytic_return
 from offairl_lite.core.loop import Trainer
 from offairl_lite.learned_reward import LearnedReward
 
@@ -61,21 +61,20 @@ def test_the_reward_is_what_retraining_maximises(
     with closing(Trainer(config, (3,), frozen_reward=reward)) as trainer:
         for _ in range(150):
             trainer.collector.step(explore=None)
-        trainer.build(trainer.normaliser())
-        batch, models = trainer.collector.replay.held(0), trainer.models
+        trainer.start()
+        batch = trainer.collector.replay.held(0)
     batch = type(batch)(*(part.unsqueeze(0) for part in batch))
-    log_density = models.log_density(150)
-    wanted = models.reward_of(batch, log_density)
+    wanted = reward(batch.obs, batch.action)
     if absorbing != "none":
-        ended = is_absorbing(batch.next_obs)
-        there = models.absorbing_reward_of(batch, log_density)
+        ended, loop = is_absorbing(batch.next_obs), loop_of(batch)
+        there = reward(loop.obs, loop.action)
         # The absorbing state's value, of which bootstrapping is a slow way to learn.
         wanted = wanted + ended * 0.9 * there / (1 - 0.9)
         if absorbing == "analytic":
-            noise = torch.zeros_like(batch.pre_tanh)
-            target = models.learner.target(
-                batch, models.reward_of(batch, log_density), there, noise
+            paid = with_analytic_return(
+                batch._replace(reward=reward(batch.obs, batch.action)), there, 0.9
             )
+            target = trainer.learner.target(paid, torch.zeros_like(batch.pre_tanh))
             torch.testing.assert_close(wanted[ended], target[ended])
         own_steps = ~is_absorbing(batch.obs)
         batch = type(batch)(*(part[own_steps].unsqueeze(0) for part in batch))

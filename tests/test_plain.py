@@ -11,11 +11,11 @@ from gymnasium.spaces import Box
 from offairl_lite import demonstrations, envs, plain
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import Discriminator as CoreDiscriminator
-from offairl_lite.core.networks import Normaliser as CoreNormaliser
 from offairl_lite.core.replay import Batch as CoreBatch
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.sac import ACTOR_DELAY
+from offairl_lite.core.sac import POLICY_DELAY
 from offairl_lite.core.sac import SAC as CoreSAC
+from offairl_lite.core.shapes import Layout
 
 LEFT = "offairl/PointMazeLeft-v0"
 OBS, ACT, B = 3, 2, 64
@@ -298,9 +298,14 @@ def test_it_crosses_the_maze():
 
 def core_learners():
     """Return SAC and a discriminator of one member, whose observations are scaled already."""
-    streams, scale = Rng([0]), CoreNormaliser.identity(1, OBS)
-    sac = CoreSAC(CORE_CONFIG.learner, OBS, ACT, streams, scale)
-    return sac, CoreDiscriminator(CORE_CONFIG.discriminator, OBS, ACT, streams, scale)
+    streams, layout = Rng([0]), Layout(1, OBS, ACT)
+    learners = (
+        CoreSAC(CORE_CONFIG.learner, layout),
+        CoreDiscriminator(CORE_CONFIG.discriminator, layout),
+    )
+    for learner in learners:
+        learner.init(streams)
+    return learners
 
 
 def core_networks(sac, discriminator):
@@ -322,13 +327,16 @@ def core_weights(net, params):
     return [(bias[0, 0], weight[0].T) for bias, weight in net.layers(params.detach())]
 
 
-def core_update(sac, discriminator, expert, policy, mix, noise, delayed):
-    """Update the discriminator, then SAC on its reward; `delayed` is the actor's turn."""
+def core_update(sac, discriminator, expert, policy, mix, noise, update_actor):
+    """Update the discriminator, then SAC on its reward."""
     expert, policy = (CoreBatch(*(x[None] for x in side)) for side in (expert, policy))
-    log_probs = (sac.log_prob(sac.actor_params, x.obs, x.pre_tanh) for x in (expert, policy))
-    discriminator.update(expert, policy, *log_probs, mix[None].expand(1, B, 4))
-    reward = discriminator.reward(policy, None)
-    sac.update(policy, reward, torch.zeros(1, 1), noise[:, None], delayed)
+    sides = (
+        discriminator.transitions(x, sac.log_prob(sac.actor_params, x.obs, x.pre_tanh))
+        for x in (expert, policy)
+    )
+    discriminator.update(*sides, mix[None].expand(1, B, 4))
+    paid = policy._replace(reward=discriminator.reward(policy, None))
+    sac.update(paid, noise[:, None], update_actor)
 
 
 def plain_networks(sac, discriminator):
@@ -360,8 +368,8 @@ def test_core_with_one_member_takes_the_same_steps():
         same = rng.clone_state()
         mix = torch.rand(B, 1, generator=same)
         noise = torch.randn(2, B, ACT, generator=same)
-        delayed = (step + 1) % ACTOR_DELAY == 0
-        core_update(*core, expert, policy, mix, noise, delayed)
+        update_actor = (step + 1) % POLICY_DELAY == 0
+        core_update(*core, expert, policy, mix, noise, update_actor)
         plain.update_discriminator(discriminator, sac.actor, expert, policy, rng)
         plain.update_sac(sac, policy, discriminator.r(policy.obs), rng)
 

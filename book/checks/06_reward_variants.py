@@ -9,7 +9,7 @@ from checks import exact, live, recorded
 from offairl_lite import demonstrations, experiments
 from offairl_lite.analysis import epic
 from offairl_lite.config import differences
-from offairl_lite.core.sac import ACTOR_DELAY
+from offairl_lite.core.sac import POLICY_DELAY
 from offairl_lite.envs.models import GOAL
 from offairl_lite.plain import Discriminator
 from offairl_lite.runs import records
@@ -165,7 +165,7 @@ def errors_fade_slowly(demo):
     second update."""
     assert demo.learner.discount == 0.99
     assert demo.learner.target_rate == 0.01
-    assert ACTOR_DELAY == 2  # the slow copies move as often as the actor
+    assert POLICY_DELAY == 2  # the slow copies move as often as the actor
 
 
 @exact

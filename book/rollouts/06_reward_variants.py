@@ -60,7 +60,7 @@ def _watched(reward, expert):
     story = []
     with closing(Trainer(config, [SEED], expert)) as trainer:
         for evaluation in trainer.run():
-            if trainer.models is None or evaluation:
+            if not trainer.started or evaluation:
                 continue
             policy = trainer.policy
             held = trainer.collector.replay.held(0)

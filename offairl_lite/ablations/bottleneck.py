@@ -1,7 +1,6 @@
 """The variational discriminator bottleneck (Peng et al. 2019): a stochastic code of few nats."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,16 +12,17 @@ from offairl_lite.config import DiscriminatorConfig
 from offairl_lite.config.settings import Count, Positive
 from offairl_lite.core.discriminator import (
     Discriminator,
-    Judgement,
     Loss,
+    Mixing,
     Transitions,
     airl_loss,
+    both_sides,
     diagnostics,
     make_discriminator,
 )
-from offairl_lite.core.networks import TINY, StackedMLP
+from offairl_lite.core.networks import TINY, StackedMLP, zeros
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Metrics, Params, PerMember, Scalar, Vector
+from offairl_lite.core.shapes import Layout, Metrics, Params, PerMember, Scalar, Vector
 
 
 def expected_cross_entropy(
@@ -62,6 +62,11 @@ class Code:
     def init(self, rng: Rng) -> Params:
         """Draw the weights of encoder and head."""
         return torch.cat([self.encoder.init(rng), self.head.init(rng)], 1)
+
+    @property
+    def num_params(self) -> int:
+        """P: weights of encoder and head."""
+        return self.encoder.num_params + self.head.num_params
 
     def _parts(self, params: Params) -> tuple[Params, Tensor, Tensor]:
         """Return the encoder's weights, and the head's bias and weight."""
@@ -119,13 +124,16 @@ class Bottleneck(Discriminator):
 
     config: BottleneckConfig
 
-    def init(self, rng: Rng) -> tuple[Params, Params]:
-        """Draw the initial weights of encoders and heads."""
+    def __init__(self, config: BottleneckConfig, layout: Layout, horizon: int = 1) -> None:
+        super().__init__(config, layout, horizon)
+        self.multiplier = self.state["multiplier"] = zeros(layout, 1)
+        self.quadrature = gauss_hermite().to(layout.device)
+
+    def networks(self) -> tuple[Code, Code]:
+        """Return the codes, whose encoders and heads are trained."""
         size = self.config.bottleneck_size
         self.reward_code, self.value_code = Code(self.reward_net, size), Code(self.value_net, size)
-        self.multiplier = self.state["multiplier"] = torch.zeros(len(rng), 1, device=rng.device)
-        self.quadrature = gauss_hermite().to(rng.device)
-        return self.reward_code.init(rng), self.value_code.init(rng)
+        return self.reward_code, self.value_code
 
     @property
     def weights(self) -> tuple[Params, Params]:
@@ -145,13 +153,16 @@ class Bottleneck(Discriminator):
         variance = variance + now + self.config.discount**2 * then
         return variance, divergence + divergence_now + divergence_then
 
-    def loss(self, judgement: Judgement) -> tuple[Scalar, Metrics]:
+    def loss(
+        self, expert: Transitions, policy: Transitions, mixing: Mixing
+    ) -> tuple[Scalar, Metrics]:
         """Return the expected loss over codes, plus β (KL - I_c), and diagnostics.
 
         The penalty, where there is one, is that at the code's mean.
         """
-        transitions, expert_logit, policy_logit, grad_norm = judgement
-        variance, divergence = self.spread(transitions)
+        expert_logit, policy_logit = self.logits(expert, policy)
+        grad_norm = self.gradient_norm(expert, policy, mixing)
+        variance, divergence = self.spread(both_sides(expert, policy))
         of_expert, of_policy = variance.chunk(2, 1)
         expected = expected_cross_entropy(
             expert_logit, policy_logit, of_expert, of_policy, self.quadrature
@@ -165,9 +176,9 @@ class Bottleneck(Discriminator):
         metrics |= {"excess": excess.detach(), "multiplier": multiplier.clone()}
         return (loss.total + multiplier * excess).sum(), metrics
 
-    def update(self, *minibatch: Any) -> Metrics:
+    def update(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Metrics:
         """Take one step down the loss, and one up with the multiplier."""
-        metrics = super().update(*minibatch)
+        metrics = super().update(expert, policy, mixing)
         with torch.no_grad():
             ascent = self.config.bottleneck_rate * metrics["excess"].unsqueeze(-1)
             self.multiplier.add_(ascent).clamp_(min=0)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -12,16 +11,14 @@ from torch.nn.functional import normalize
 from offairl_lite.config import DiscriminatorConfig
 from offairl_lite.core.discriminator import (
     Discriminator,
-    LogProbs,
     Mixing,
-    Sides,
     Transitions,
     make_discriminator,
 )
-from offairl_lite.core.networks import TINY, StackedMLP
+from offairl_lite.core.networks import TINY, StackedMLP, zeros
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Metrics, Params, Vector
+from offairl_lite.core.shapes import Layout, Metrics, Params, Vector
 
 
 @dataclass(frozen=True)
@@ -34,9 +31,9 @@ class OneSidedConfig(DiscriminatorConfig):
 class OneSided(Discriminator):
     """Punishes only slopes above 1, max(0, ‖∇f‖ - 1)²: flat is no fault (Petzka et al. 2018)."""
 
-    def gradient_norm(self, *between: Any) -> Vector:
+    def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇f‖, or 1 where it is smaller."""
-        return super().gradient_norm(*between).clamp(min=1)
+        return super().gradient_norm(expert, policy, mixing).clamp(min=1)
 
 
 @dataclass(frozen=True)
@@ -51,16 +48,21 @@ class OnProbability(Discriminator):
 
     log_prob_in_penalty = True
 
-    def gradient_norm(self, sides: Sides, log_probs: LogProbs, coefficient: Mixing) -> Vector:
+    def logit(self, f: Vector, log_prob: Vector) -> Vector:
+        """Return ℓ = f - log π, or f alone: log π may be there for the penalty only."""
+        return super().logit(f, log_prob if self.policy_in_logit else torch.zeros_like(f))
+
+    def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
-        *shares, share = coefficient.split(1, -1)
-        parts = (torch.lerp(p, e, c) for e, p, c in zip(*sides, shares, strict=True))
-        logit, gradients = self.f_and_gradients(Transitions(*parts))
-        if self.has_policy:
-            of_expert, of_policy = log_probs
-            logit = log_odds(logit, torch.lerp(of_policy, of_expert, share.squeeze(-1)))
-        d = torch.sigmoid(logit)
-        square = gradients.obs.square().sum(-1) * (d * (1 - d)).square()
+        *shares, share = mixing.split(1, -1)
+        obs, action, next_obs = (
+            torch.lerp(p, e, c) for p, e, c in zip(policy[:3], expert[:3], shares, strict=True)
+        )
+        log_prob = torch.lerp(policy.log_prob, expert.log_prob, share.squeeze(-1))
+        between = Transitions(obs, action, next_obs, log_prob)
+        f, (by_obs, _, _) = self.f_and_gradients(between)
+        d = torch.sigmoid(log_odds(f, log_prob))
+        square = by_obs.square().sum(-1) * (d * (1 - d)).square()
         return (square + TINY).sqrt()
 
 
@@ -115,12 +117,18 @@ class SpectralNormConfig(DiscriminatorConfig):
 class SpectralNorm(Discriminator):
     """Divides each weight matrix of r and V by its largest singular value: slopes are at most 1."""
 
-    def init(self, rng: Rng) -> tuple[Params, Params]:
-        """Draw the initial weights, and vectors for the power iteration."""
-        params = super().init(rng)
-        self.vectors = [init_vectors(net, rng) for net in (self.reward_net, self.value_net)]
+    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
+        super().__init__(config, layout, horizon)
+        nets = self.reward_net, self.value_net
+        self.vectors = [zeros(layout, sum(net.sizes[1:])) for net in nets]
         self.state |= zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
-        return params
+
+    @torch.no_grad()
+    def init(self, rng: Rng) -> None:
+        """Draw the initial weights, and vectors for the power iteration."""
+        super().init(rng)
+        for vectors, net in zip(self.vectors, self.networks(), strict=True):
+            vectors.copy_(init_vectors(net, rng))
 
     @property
     def weights(self) -> tuple[Params, Params]:
@@ -129,12 +137,12 @@ class SpectralNorm(Discriminator):
         reward = spectrally_normalised(self.reward_net, self.reward_params, of_reward)
         return reward, spectrally_normalised(self.value_net, self.value_params, of_value)
 
-    def update(self, *minibatch: Any) -> Metrics:
+    def update(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Metrics:
         """Turn the vectors towards the singular ones, and take one step down the loss."""
         of_reward, of_value = self.vectors
         of_reward.copy_(power_iteration(self.reward_net, self.reward_params, of_reward))
         of_value.copy_(power_iteration(self.value_net, self.value_params, of_value))
-        return super().update(*minibatch)
+        return super().update(expert, policy, mixing)
 
 
 make_discriminator.register(OneSidedConfig, OneSided)

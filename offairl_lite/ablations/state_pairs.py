@@ -6,20 +6,13 @@ off-policy AIRL with r(s) changes at once are told apart (Torabi et al. 2018 lea
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
-
-import torch
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.discriminator import (
-    Discriminator,
-    LogDensity,
-    Transitions,
-    make_discriminator,
-)
+from offairl_lite.core.discriminator import Discriminator, Transitions, make_discriminator
+from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import OF_LOGIT
-from offairl_lite.core.shapes import Vector
+from offairl_lite.core.shapes import Layout, Vector
 
 
 @dataclass(frozen=True)
@@ -40,25 +33,16 @@ class StatePairsConfig(DiscriminatorConfig):
 class StatePairs(Discriminator):
     """Judges g(s, s'): the next state stands where the action does in DAC."""
 
-    def __init__(
-        self, config: DiscriminatorConfig, obs_dim: int, action_dim: int, *rest: Any
-    ) -> None:
-        super().__init__(config, obs_dim, obs_dim, *rest)
+    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
+        super().__init__(config, layout._replace(action_dim=layout.obs_dim), horizon)
 
-    def seen(self, batch: Batch) -> Transitions:
-        """Return transitions as the discriminator sees them: without their actions."""
-        transitions = super().seen(batch)
-        return transitions._replace(action=transitions.next_obs)
+    def transitions(self, batch: Batch, log_prob: Vector) -> Transitions:
+        """Return transitions as the discriminator looks at them: without their actions."""
+        return Transitions(batch.obs, batch.next_obs, batch.next_obs, log_prob)
 
-    @property
-    def frozen(self) -> None:  # type: ignore[override]
+    def snapshot(self, env_id: str, normaliser: Normaliser) -> None:
         """There is no r(s) or r(s, a) to use again: g judges steps."""
         return None
-
-    @torch.no_grad()
-    def reward(self, batch: Batch, log_density: LogDensity) -> Vector:
-        """Return the learner's reward, a function of g(s, s')."""
-        return OF_LOGIT[self.config.reward](self.f(self.seen(batch)))
 
 
 make_discriminator.register(StatePairsConfig, StatePairs)

@@ -67,6 +67,8 @@ class Schedule(Checked):
 class LearnerConfig(Checked):
     """What all learners have in common."""
 
+    on_policy: ClassVar[bool] = False
+
     hidden: Sizes = (400, 300)
     """Hidden layers of actor and critics, ReLU."""
     discount: Fraction = 0.99
@@ -139,6 +141,7 @@ class PPOConfig(LearnerConfig):
     """PPO, the on-policy learner; its actor is SAC's."""
 
     kind = "ppo"
+    on_policy = True
 
     temperature: Positive = 0.2
     """Weight of the entropy in the loss."""

@@ -71,6 +71,23 @@ def with_absorbing_states(batch: Batch) -> Batch:
     return Batch(*(torch.cat(parts) for parts in zip(batch, loops(batch), strict=True)))
 
 
+def loop_of(batch: Batch) -> Batch:
+    """Return the absorbing state's own transition, one for each member of a batch `S B`."""
+    first = Batch(*(part[:, :1] for part in batch))
+    there, still = absorbing_state(first.obs), torch.zeros_like(first.pre_tanh)
+    return first._replace(obs=there, pre_tanh=still, next_obs=there)
+
+
 def analytic_return(reward: Numbers, absorbing_reward: Numbers, discount: float) -> Numbers:
     """Return R_T: the last reward, and the absorbing state's for ever after."""
     return reward + discount * absorbing_reward / (1 - discount)
+
+
+def with_analytic_return(batch: Batch, absorbing_reward: Numbers, discount: float) -> Batch:
+    """Return transitions, of which those to the absorbing state are paid R_T, and end there."""
+    ends = is_absorbing(batch.next_obs)
+    known = analytic_return(batch.reward, absorbing_reward, discount)
+    return batch._replace(
+        reward=torch.where(ends, known, batch.reward),
+        terminated=torch.where(ends, 1, batch.terminated),
+    )

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offairl_lite.config import Config, PPOConfig
+from offairl_lite.config import Config
 from offairl_lite.core import absorbing
 from offairl_lite.core.policies import Policy, unsquash
 from offairl_lite.core.replay import Batch, Replay
@@ -28,11 +28,9 @@ class Members:
     does no harm to the others, with which it goes on being computed.
     """
 
-    def __init__(self, seeds: Sequence[int]) -> None:
-        self.seeds = tuple(seeds)
+    def __init__(self, seeds: Sequence[int], weights: dict[str, Tensor]) -> None:
+        self.seeds, self.weights = tuple(seeds), weights
         self.diverged: dict[int, str] = {}
-        self.weights: dict[str, Tensor] = {}
-        """The tensors that training changes, once there are some."""
 
     @property
     def left(self) -> list[int]:
@@ -61,6 +59,14 @@ class Members:
                 tensor[..., gone, :] = 0
         if len(gone) == len(self.seeds):
             raise FloatingPointError("; ".join(self.diverged.values()))
+
+    def give_up_not_finite(self, step: int) -> None:
+        """Give up the members with weights that are not finite."""
+        for name, tensor in self.weights.items():
+            if name.endswith(".params"):
+                # Two critics are a stack of two populations.
+                broken = ~tensor.isfinite().all(-1).view(-1, len(self.seeds)).all(0)
+                self.give_up(broken, step, f"{name.split('.')[1]} is not finite")
 
 
 @cache
@@ -91,7 +97,7 @@ class Collector:
         self.config, self.env, self.replay = config, env, replay
         self.rng, self.members, self.guide = rng, members, guide
         self.absorbing = config.schedule.absorbing != "none"
-        self.ends_matter = config.learns_reward and not isinstance(config.learner, PPOConfig)
+        self.ends_matter = config.learns_reward and not config.learner.on_policy
         population, action_dim = len(members.seeds), env.single_action_space.shape[0]
         self.steps = 0
         self.episodes = torch.zeros(population, dtype=torch.long)

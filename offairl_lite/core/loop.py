@@ -1,9 +1,8 @@
-"""Algorithm 1 of the paper: the one training loop.
+"""Algorithm 1 of the paper: the one training loop, for a population of seeds.
 
 Act for a block of steps, an episode for instance; update the discriminator once for each step; then
 update the learner equally often, on the current reward. With the task's own reward, or a frozen
-one, the discriminator update is skipped. PPO uses the same loop, but learns from the latest block
-instead of replay.
+one, there is no discriminator. PPO uses the same loop, but learns from the latest block alone.
 """
 
 import warnings
@@ -13,39 +12,47 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import envs
-from offairl_lite.config import Config, Schedule
+from offairl_lite.config import Config, DiscriminatorConfig, Schedule
 from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
-from offairl_lite.core.evaluation import evaluate
-from offairl_lite.core.fitting import fit_discriminator, fit_learner
-from offairl_lite.core.models import Models, make_normaliser
+from offairl_lite.core.discriminator import make_discriminator
+from offairl_lite.core.experience import Experience
+from offairl_lite.core.learner import make_learner
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.policies import Policy
-from offairl_lite.core.ppo import PPO
-from offairl_lite.core.replay import Batch, Replay
-from offairl_lite.core.requirements import Inherited, episode_length, require_fit, require_inputs
-from offairl_lite.core.results import Row, Run
+from offairl_lite.core.policies import MultiplicativeGaussian, Policy, defensive_log_density
+from offairl_lite.core.replay import Batch, LogDensity, Replay
+from offairl_lite.core.requirements import episode_length, require_fit, require_inputs
+from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Metrics
+from offairl_lite.core.scaling import scaling_of
+from offairl_lite.core.shapes import Layout, Metrics, Vector
 from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 
 
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
-    The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
-    goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if
-    not in memory alone, which can be rewound by `memory` steps, to a checkpoint. It is a ValueError
-    if something that `config` needs is missing, or does not fit the task.
+    Args:
+        config: the run's configuration.
+        seeds: one for each member; the same seeds give the same run on the same machine.
+        demonstrations: of the expert, where a reward is learned.
+        frozen_reward: what the learner is paid, with `reward="frozen"`.
+        pretrained_policy: what the actor starts with, as `config.pretrained` says.
+        guide: acts at the starts of episodes, for up to `start_steps` steps.
+        execution: where and how it is computed.
+        replay_file: where transitions are kept, if not in memory alone.
+        memory: how many steps the replay can be rewound, to a checkpoint.
+
+    Raises:
+        ValueError: something that `config` needs is missing, or does not fit the task.
     """
 
     def __init__(
@@ -64,95 +71,183 @@ class Trainer:
         self.seeds: tuple[int, ...] = checked(
             "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
         )
-        inherited = Inherited(frozen_reward, pretrained_policy, guide)
-        require_inputs(config, self.seeds, demonstrations, inherited)
-        self.config, self.schedule = config, config.schedule
-        self.execution, self.device = execution, torch.device(execution.device)
+        require_inputs(config, self.seeds, demonstrations, frozen_reward, pretrained_policy, guide)
+        self.config, self.schedule, self.execution = config, config.schedule, execution
+        self.device, population = torch.device(execution.device), len(self.seeds)
         torch.set_num_threads(execution.threads)
-        env = envs.make(config.env_id, len(self.seeds), self.seeds, num_threads=execution.threads)
-        self.dims = require_fit(config, env, inherited)
-        if demonstrations is not None:
-            require_demonstrations(demonstrations, env)
-        self.horizon = episode_length(config, demonstrations)
-        self.inherited = inherited.to(self.device)
+        env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
+        self.dims = require_fit(config, env, frozen_reward, pretrained_policy, guide)
+        self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
+        self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
         self.demonstrations: Batch | None = None
         if demonstrations is not None:
+            require_demonstrations(demonstrations, env)
             shown = demonstrations.transitions
             if self.schedule.absorbing != "none":
                 shown = absorbing.with_absorbing_states(shown)
             self.demonstrations = Batch(*(part.to(self.device) for part in shown))
-        self.rng, self.members = Rng(self.seeds, self.device), Members(self.seeds)
-        size, slots = self.schedule.replay_size, replay_slots(self.schedule, memory)
+
+        self.rng = Rng(self.seeds, self.device)
+        self.normaliser = Normaliser.identity(population, self.dims[0], self.device)
+        # Weights are zeros until the end of the warm-up, when `start` draws them.
+        layout = Layout(population, *self.dims, self.device, self.schedule.absorbing != "none")
+        self.learner = make_learner(config.learner, layout)
+        self.update_learner = execution.accelerate(self.learner.update)
+        self.discriminator = None
+        if isinstance(config.discriminator, DiscriminatorConfig):
+            horizon = episode_length(config, demonstrations)
+            self.discriminator = make_discriminator(config.discriminator, layout, horizon)
+            self.update_discriminator = execution.accelerate(self.discriminator.update)
+        self.members = Members(self.seeds, self.weights())
         replay = Replay(
-            len(self.seeds), size, *self.dims, self.device, file=replay_file, slots=slots
+            population,
+            self.schedule.replay_size,
+            *self.dims,
+            self.device,
+            file=replay_file,
+            slots=replay_slots(self.schedule, memory),
         )
-        guide = self.inherited.guide
-        self.collector = Collector(config, env, replay, self.rng, self.members, guide)
-        self.models: Models | None = None
-        # Blocks of steps that are still to be trained on; those of the warm-up wait for its end.
+        self.collector = Collector(
+            config, env, replay, self.rng, self.members, guide and guide.to(self.device)
+        )
+        self.started = False
+        # Lengths of the blocks of steps not yet trained on. Those of the warm-up wait for its end.
         self.blocks_due: list[int] = []
         self.block_start, self.evaluated = 0, 0
         self.metrics: Metrics = {}
 
-    def run(self) -> Iterator[list[Row]]:
-        """Algorithm 1, from the current state to `total_steps`.
+    # ---- Algorithm 1 ----
 
-        Each pass first settles what the steps so far have made due, and then acts once: so a run
-        that is resumed begins with what its checkpoint still owes. After each block of steps an
-        empty list is yielded, and after each evaluation a row for each member: the state can then
-        be kept. It is a FloatingPointError if every member has diverged.
+    def run(self) -> Iterator[list[Row]]:
+        """Run Algorithm 1 from the current state to `total_steps`.
+
+        Each iteration runs all pending updates and evaluations, and then takes one environment
+        step. So a resumed run begins with what its checkpoint still owes.
+
+        Yields:
+            An empty list after each block of steps; after each evaluation a row for each member.
+
+        Raises:
+            FloatingPointError: all members have diverged.
         """
-        for step in range(self.steps, self.schedule.total_steps + 1):
-            # The warm-up's observations fix their scaling.
-            if step == self.schedule.warmup_steps and self.models is None:
-                self.build(self.normaliser())
-            if self.models is not None:
-                # As many updates of the discriminator, then of the learner, as the block had steps.
-                while self.blocks_due:
-                    self.fit(self.blocks_due.pop(0))
-                    yield []
-                if self.evaluation_is_due:
-                    self.evaluated = step
-                    yield self.evaluate()
-            if step == self.schedule.total_steps:
+        while True:
+            if self.steps == self.schedule.warmup_steps and not self.started:
+                self.start()
+            while self.started and self.blocks_due:
+                self.train_on_block(self.blocks_due.pop(0))
+                yield []
+            if self.evaluation_is_due:
+                self.evaluated = self.steps
+                yield self.evaluate()
+            if self.steps == self.schedule.total_steps:
                 return
-            # Every member acts once, and replay keeps what happens.
-            ended = self.collector.step(self.models.explore if self.models else None)
+            ended = self.collector.step(self.explore if self.started else None)
             if self.block_ends(ended):
                 self.blocks_due.append(self.steps - self.block_start)
                 self.block_start = self.steps
-                if self.models is None:
+                if not self.started:
                     yield []
 
-    def fit(self, steps: int) -> None:
-        """Train on a block of so many steps: the discriminator, then the learner on its reward."""
-        models, replay = self.models, self.collector.replay
-        assert models is not None  # The warm-up is over.
-        # For both of them π is what it was before the block.
-        log_density = models.log_density(self.steps)
-        self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
-        self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
-        for name, lost in models.not_finite().items():
-            self.members.give_up(lost, self.steps, f"{name} is not finite")
+    def train_on_block(self, steps: int) -> None:
+        """Update the discriminator, and then the learner, once for each step of a block."""
+        experience = Experience(
+            self.config,
+            self.collector.replay,
+            self.demonstrations,
+            self.normaliser,
+            self.rng,
+            self.discriminator or self.frozen_reward,
+            self.log_density(),  # π as it acted, for both of them
+        )
+        for expert, policy, mixing in experience.discriminator_minibatches(steps):
+            self.metrics |= self.update_discriminator(expert, policy, mixing)
+        for minibatch in self.learner.minibatches(experience, steps, self.trained - steps):
+            self.metrics |= self.update_learner(*minibatch)
+        self.members.give_up_not_finite(self.steps)
+
+    def start(self) -> None:
+        """End the warm-up: fix the scaling of observations and draw all weights, in place."""
+        policy = self.pretrained_policy
+        if policy is None:
+            scaling = scaling_of(self.config, self.collector.replay, self.demonstrations)
+        else:
+            scaling = policy.normaliser
+        for part, fixed in zip(self.normaliser, scaling, strict=True):
+            part.copy_(fixed)
+        self.learner.init(self.rng)
+        if policy is not None:
+            params, kept = self.learner.actor_params.detach(), policy.actor.num_params
+            if isinstance(policy.actor, MultiplicativeGaussian):
+                # The weights of the gate, which come last, may stay as they were drawn.
+                kept -= policy.actor.gate.num_params * (self.config.pretrained == "primitives")
+            params[:, :kept] = policy.params[:, :kept]
+        if self.discriminator is not None:
+            self.discriminator.init(self.rng)
+        if self.config.learner.on_policy:
+            # It learns from its own actions alone.
+            self.blocks_due.clear()
+            self.block_start = self.steps
+        self.started = True
+
+    def log_density(self) -> LogDensity:
+        """Return log π of scaled transitions, under the actor as it is now.
+
+        With `loss="mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
+        """
+        learner, params = self.learner, self.learner.actor_params.detach().clone()
+        discriminator, schedule = self.config.discriminator, self.schedule
+        if not isinstance(discriminator, DiscriminatorConfig) or discriminator.loss != "mixture":
+            return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)
+        # Rows of absorbing states, which push the warm-up out earlier, are not counted.
+        forgotten = max(self.steps - schedule.replay_size, 0)
+        uniform_share = max(schedule.warmup_steps - forgotten, 0) / (self.steps - forgotten)
+
+        def mixed_log_density(batch: Batch) -> Vector:
+            log_prob = learner.log_prob(params, batch.obs, batch.pre_tanh)
+            mixed = defensive_log_density(log_prob, uniform_share, self.dims[1])
+            if schedule.absorbing == "none":
+                return mixed
+            return mixed.where(~absorbing.is_absorbing(batch.obs), log_prob)
+
+        return mixed_log_density
+
+    # ---- Acting and evaluation ----
+
+    @torch.no_grad()
+    def explore(self, obs: Float[Tensor, "S O"]) -> Float[Tensor, "S A"]:
+        """Return what the policies do when they explore, as `pre_tanh`."""
+        noise = self.rng.normal(1, self.dims[1])
+        scaled = self.normaliser(obs.unsqueeze(1))
+        return self.learner.actor.explore(self.learner.actor_params, scaled, noise).squeeze(1)
 
     def evaluate(self) -> list[Row]:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
-        models, threads = self.models, self.execution.threads
-        assert models is not None  # The warm-up is over.
-        return evaluate(models.policy, models.reward, self.collector, self.metrics, threads)
+        policy, reward, left = self.policy, self.reward, self.members.left
+        assert policy is not None  # The warm-up is over.
+        return evaluate(
+            policy.member(*left),
+            reward and reward.member(*left),
+            [self.seeds[i] for i in left],
+            self.schedule.eval_episodes,
+            self.execution.threads,
+            step=self.steps,
+            episodes=self.collector.episodes[left].tolist(),
+            metrics={name: value[left] for name, value in self.metrics.items()},
+        )
 
     @property
     def evaluation_is_due(self) -> bool:
         """Whether the policies are to be evaluated now."""
         at_end = self.steps == self.schedule.total_steps
         due = at_end or self.steps % self.schedule.eval_every == 0
-        return self.models is not None and due and self.evaluated < self.steps
+        return self.started and due and self.evaluated < self.steps
 
     def block_ends(self, ended: Bool[np.ndarray, "S"]) -> bool:
-        """Whether a block of steps is over; `ended` says which members' episodes just ended."""
-        if self.horizon > 1 and (ended != (self.steps % self.horizon == 0)).any():
+        """Return whether a block of steps is over; `ended`: whose episodes just ended."""
+        horizon = 1 if self.discriminator is None else self.discriminator.horizon
+        if horizon > 1 and (ended != (self.steps % horizon == 0)).any():
             raise ValueError(
-                f"gan-gcl compares whole episodes of one length, {self.horizon} as demonstrated, "
+                f"gan-gcl compares whole episodes of one length, {horizon} as demonstrated, "
                 f"and {self.config.env_id} has ended one elsewhere: choose another reward"
             )
         if self.schedule.update_every is not None:
@@ -160,6 +255,8 @@ class Trainer:
         if ended.any() and not ended.all():
             raise ValueError("members' episodes end at different times: set update_every=1000, say")
         return bool(ended.all())
+
+    # ---- What there is to know and to keep ----
 
     @property
     def steps(self) -> int:
@@ -179,57 +276,58 @@ class Trainer:
 
     @property
     def policy(self) -> Policy | None:
-        """The policies as they are now; None during the warm-up."""
-        return self.models.policy if self.models else None
+        """The policies as they are now, which later updates do not change; None in the warm-up."""
+        if not self.started:
+            return None
+        params = self.learner.actor_params.detach().clone()
+        return Policy(self.config.env_id, self.learner.actor, params, self.normaliser)
 
     @property
     def reward(self) -> Reward | None:
         """The learned reward as it is now, or the frozen one; None with the task's own."""
-        return self.models.reward if self.models else self.inherited.frozen_reward
+        if self.discriminator is None or not self.started:
+            return self.frozen_reward
+        return self.discriminator.snapshot(self.config.env_id, self.normaliser)
 
-    def build(self, normaliser: Normaliser) -> None:
-        """Make learner and discriminator."""
-        given = self.config, self.dims, self.rng, normaliser, self.execution, self.horizon
-        self.models = Models(*given, self.inherited)
-        self.members.weights = self.models.weights()
-        if isinstance(self.models.learner, PPO):
-            # It learns from its own actions alone.
-            self.blocks_due.clear()
-            self.block_start = self.steps
-
-    def normaliser(self) -> Normaliser:
-        """Return the scaling of observations; a pretrained policy brings its own."""
-        if self.inherited.pretrained_policy is not None:
-            return self.inherited.pretrained_policy.normaliser
-        return make_normaliser(self.config, self.collector.replay, self.demonstrations)
+    def weights(self) -> dict[str, Tensor]:
+        """Return the tensors that training changes: themselves, not copies."""
+        parts = {"learner": self.learner.state}
+        if self.discriminator is not None:
+            parts["discriminator"] = self.discriminator.state
+        return {f"{part}.{name}": x for part, state in parts.items() for name, x in state.items()}
 
     def state(self) -> dict[str, Tensor]:
         """Return all that the future depends on but the rows of the replay and `diverged`."""
-        tensors = {
-            "counts": torch.tensor([self.steps, self.block_start, self.evaluated]),
+        counts = self.steps, self.block_start, self.evaluated, self.started
+        return {
+            "counts": torch.tensor(counts, dtype=torch.long),
             "blocks_due": torch.tensor(self.blocks_due, dtype=torch.long),
             "rng": self.rng.state,
             **{f"collector.{name}": x for name, x in self.collector.state().items()},
             **{f"metrics.{name}": x for name, x in self.metrics.items()},
+            **{f"normaliser.{name}": x for name, x in self.normaliser._asdict().items()},
+            **self.weights(),
         }
-        if self.models is not None:
-            tensors |= {**self.models.normaliser._asdict(), **self.models.weights()}
-        return tensors
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Restore a state of the same run, to which the replay file belongs; else ValueError."""
+        """Restore a state of the same run, to which the replay file belongs.
+
+        Raises:
+            ValueError: it is not a state of this run.
+        """
         try:
-            if "mean" in state:
-                self.build(Normaliser(*(state[part].to(self.device) for part in ("mean", "std"))))
-                for name, tensor in self.members.weights.items():
-                    tensor.copy_(state[name])
-            steps, self.block_start, self.evaluated = state["counts"].tolist()
+            for name, part in self.normaliser._asdict().items():
+                part.copy_(state[f"normaliser.{name}"])
+            for name, tensor in self.weights().items():
+                tensor.copy_(state[name])
+            steps, self.block_start, self.evaluated, started = state["counts"].tolist()
+            self.started = bool(started)
             self.blocks_due = state["blocks_due"].tolist()
             self.collector.restore(steps, part_of(state, "collector"))
             self.rng.state = state["rng"]
             metrics = part_of(state, "metrics")
             self.metrics = {name: x.to(self.device) for name, x in metrics.items()}
-        except (KeyError, RuntimeError) as error:
+        except (KeyError, RuntimeError, ValueError) as error:
             raise ValueError(f"not a state of this run: {error}") from error
 
     def close(self) -> None:
@@ -298,6 +396,8 @@ def train(
         if rows and on_evaluation is not None:
             on_evaluation(rows)
 
-    given = frozen_reward, pretrained_policy, guide, execution
-    with closing(Trainer(config, seeds, demonstrations, *given)) as trainer:
+    trainer = Trainer(
+        config, seeds, demonstrations, frozen_reward, pretrained_policy, guide, execution
+    )
+    with closing(trainer):
         return complete(trainer, progress, on_advance)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from offairl_lite.config.settings import Sizes, checked
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, Obs, Params, Scalar, TwinParams, TwinQ, Vector
+from offairl_lite.core.shapes import Action, Layout, Obs, Params, Scalar, TwinParams, TwinQ, Vector
 
 TINY = 1e-12
 """What keeps roots and quotients of lengths finite at 0."""
@@ -195,6 +195,11 @@ class Adam:
         self.scale.copy_(unbiased * bias2.sqrt())
         length, epsilon = self.scale.unbind()
         self.params -= length * self.mean / (self.square.sqrt() + epsilon)
+
+
+def zeros(layout: Layout, num_params: int) -> Params:
+    """Return room for the weights of a run's network, which are drawn when its warm-up is over."""
+    return torch.zeros(layout.members, num_params, device=layout.device)
 
 
 def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:

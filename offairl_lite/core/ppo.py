@@ -5,6 +5,7 @@ present policy has just taken, a few epochs long, and never looks at them again.
 so that log π is the same thing for the discriminator whoever trains the policy.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -12,12 +13,13 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from offairl_lite.config import PPOConfig
-from offairl_lite.core.networks import Adam, Normaliser, StackedMLP, descend, optimizer_states
+from offairl_lite.core.experience import Experience
+from offairl_lite.core.networks import Adam, StackedMLP, descend, optimizer_states, zeros
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import critic_loss
-from offairl_lite.core.shapes import Action, Metrics, Obs, Params, Scalar, Vector
+from offairl_lite.core.shapes import Action, Layout, Metrics, Obs, Params, Scalar, Vector
 
 CLIP = 0.2  #: How far the ratio of new to old density may move before it stops to pay.
 EPOCHS = 10  #: How often a block of steps is gone through (Schulman et al. 2017, table 3).
@@ -84,40 +86,64 @@ class Rollout(NamedTuple):
 
 
 class PPO:
-    """Actor and value network of `S` members; `normaliser` scales every observation."""
+    """Actor and value network of `S` members; observations come scaled.
 
-    def __init__(
-        self, config: PPOConfig, obs_dim: int, action_dim: int, rng: Rng, normaliser: Normaliser
-    ) -> None:
-        self.config, self.normaliser = config, normaliser
-        self.actor = make_actor(config, obs_dim, action_dim)
-        self.critic = StackedMLP((obs_dim, *config.hidden, 1))
-        self.actor_params, self.critic_params = self.actor.init(rng), self.critic.init(rng)
-        for last in self.actor.net.layers(self.actor_params)[-1]:
-            last *= FIRST_SCALE
+    The weights are zeros until `init`.
+    """
+
+    def __init__(self, config: PPOConfig, layout: Layout) -> None:
+        self.config = config
+        self.actor = make_actor(config, layout.obs_dim, layout.action_dim)
+        self.critic = StackedMLP((layout.obs_dim, *config.hidden, 1))
+        self.actor_params = zeros(layout, self.actor.num_params)
+        self.critic_params = zeros(layout, self.critic.num_params)
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         # Everything that updates change: the tensors themselves.
         self.state = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
-    def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:
-        """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
-        return self.actor.log_prob(actor_params, self.normaliser(obs), pre_tanh)
+    def init(self, rng: Rng) -> None:
+        """Draw the initial weights, in place."""
+        self.actor_params.copy_(self.actor.init(rng))
+        self.critic_params.copy_(self.critic.init(rng))
+        for last in self.actor.net.layers(self.actor_params)[-1]:
+            last *= FIRST_SCALE
 
     @torch.no_grad()
-    def rollout(self, block: Batch, reward: Vector) -> Rollout:
+    def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:
+        """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
+        return self.actor.log_prob(actor_params, obs, pre_tanh)
+
+    def minibatches(
+        self, experience: Experience, steps: int, done: int
+    ) -> Iterator[tuple[Rollout, Action]]:
+        """Yield the arguments of the updates on the last block of steps: `EPOCHS` times all."""
+        rollout, rng, size = (
+            self.rollout(experience.last(steps)),
+            experience.rng,
+            experience.batch_size,
+        )
+        for _ in range(EPOCHS):
+            order = rng.uniform(steps).argsort(1).split(size, 1)
+            noise = rng.normal(steps, self.actor.action_dim).split(size, 1)
+            for index, eps in zip(order, noise, strict=True):
+                yield rollout.rows(index), eps
+
+    @torch.no_grad()
+    def rollout(self, block: Batch) -> Rollout:
         """Return what a block teaches: the last steps, in the order in which they were taken."""
-        obs, next_obs = self.normaliser(block.obs), self.normaliser(block.next_obs)
         value, next_value = (
-            self.critic(self.critic_params, x).squeeze(-1) for x in (obs, next_obs)
+            self.critic(self.critic_params, x).squeeze(-1) for x in (block.obs, block.next_obs)
         )
         ends, discount = episode_ends(block.obs, block.next_obs), self.config.discount
-        advantage = gae(reward, value, next_value, block.terminated, ends, discount, GAE_DECAY)
+        advantage = gae(
+            block.reward, value, next_value, block.terminated, ends, discount, GAE_DECAY
+        )
         mean, std = advantage.mean(1, keepdim=True), advantage.std(1, keepdim=True)
-        log_prob = self.actor.log_prob(self.actor_params, obs, block.pre_tanh)
+        log_prob = self.actor.log_prob(self.actor_params, block.obs, block.pre_tanh)
         scaled = (advantage - mean) / (std + 1e-8)
-        return Rollout(obs, block.pre_tanh, log_prob, scaled, advantage + value)
+        return Rollout(block.obs, block.pre_tanh, log_prob, scaled, advantage + value)
 
     def update(self, minibatch: Rollout, noise: Action) -> Metrics:
         """Take a step with actor and value network; `noise` is to estimate the entropy."""

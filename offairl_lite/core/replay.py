@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +37,18 @@ class Batch(NamedTuple):
         return torch.tanh(self.pre_tanh)
 
 
+LogDensity = Callable[[Batch], Float[Tensor, "S B"]]
+"""log π of each transition of a scaled batch."""
+
+CHUNK = 50
+"""Minibatches that are drawn at a time."""
+
+
+def chunks(minibatches: int) -> Iterator[int]:
+    """Cut a number of minibatches into those that are drawn at a time."""
+    return (min(CHUNK, minibatches - done) for done in range(0, minibatches, CHUNK))
+
+
 def pack(batch: Batch) -> Float[Tensor, "*batch D"]:
     """Lay transitions out as rows, so that a minibatch is one gather."""
     return torch.cat([*batch[:3], batch.reward.unsqueeze(-1), batch.terminated.unsqueeze(-1)], -1)
@@ -55,6 +67,12 @@ def choose(rng: Rng, rows: Sequence[int], count: int, horizon: int = 1) -> Int[T
     episode = rng.integers([n // horizon for n in rows], count // horizon)
     steps = torch.arange(horizon, device=rng.device)
     return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
+
+
+def sample(shown: Batch, rng: Rng, count: int, horizon: int = 1) -> Batch:
+    """Draw `count` of demonstrated transitions, axes `N`, for each member, see `choose`."""
+    index = choose(rng, [len(shown.obs)] * len(rng), count, horizon)
+    return Batch(*(part[index] for part in shown))
 
 
 class Replay:

@@ -1,42 +1,35 @@
-"""What a run is given, what it needs to be given, and what does not fit together."""
+"""Checks that a run's inputs match its configuration and its task."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
-
-import torch
+from typing import Any
 
 from offairl_lite.config import Config, DiscriminatorConfig
+from offairl_lite.core.networks import Population
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
 
-class Inherited(NamedTuple):
-    """What a run is given of other runs, each with as many members as the run has seeds."""
-
-    frozen_reward: Reward | None = None
-    pretrained_policy: Policy | None = None
-    guide: Policy | None = None
-
-    def to(self, device: torch.device) -> "Inherited":
-        """Return the same on a device."""
-        return Inherited._make(given and given.to(device) for given in self)
-
-
 def require_inputs(
     config: Config,
     seeds: Sequence[int],
     demonstrations: Demonstrations | None,
-    inherited: Inherited,
+    frozen_reward: Reward | None,
+    pretrained_policy: Policy | None,
+    guide: Policy | None,
 ) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
-    kinds = {"config": Config, "demonstrations": Demonstrations, "frozen_reward": Reward}
-    kinds |= {"pretrained_policy": Policy, "guide": Policy}
-    all_given = config, demonstrations, *inherited
-    for (name, kind), given in zip(kinds.items(), all_given, strict=True):
-        if not isinstance(given, kind) and (given is not None or name == "config"):
-            raise ValueError(f"{name} is {given!r}; expected a {kind.__name__}")
+    inputs: dict[str, tuple[Any, type]] = {
+        "config": (config, Config),
+        "demonstrations": (demonstrations, Demonstrations),
+        "frozen_reward": (frozen_reward, Reward),
+        "pretrained_policy": (pretrained_policy, Policy),
+        "guide": (guide, Policy),
+    }
+    for name, (value, kind) in inputs.items():
+        if not isinstance(value, kind) and (value is not None or name == "config"):
+            raise ValueError(f"{name} is {value!r}; expected a {kind.__name__}")
     if not seeds:
         raise ValueError("no seeds: give one for each member of the population")
     if len(set(seeds)) < len(seeds):
@@ -46,29 +39,37 @@ def require_inputs(
     if demonstrations is not None and demonstrations.env_id != config.env_id:
         raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")
     pretrained, start_steps = config.pretrained, config.schedule.start_steps
-    asked = {
-        f"reward={config.reward!r} and a frozen reward": config.reward == "frozen",
-        f"pretrained={pretrained!r} and a pretrained policy": pretrained != "nothing",
-        f"start_steps={start_steps} and a guide": start_steps > 0,
-    }
-    for (what, is_needed), given in zip(asked.items(), inherited, strict=True):
-        if is_needed != (given is not None):
+    pairs: list[tuple[str, bool, Population | None]] = [
+        (f"reward={config.reward!r} and a frozen reward", config.reward == "frozen", frozen_reward),
+        (
+            f"pretrained={pretrained!r} and a pretrained policy",
+            pretrained != "nothing",
+            pretrained_policy,
+        ),
+        (f"start_steps={start_steps} and a guide", start_steps > 0, guide),
+    ]
+    for what, is_needed, trained in pairs:
+        if is_needed != (trained is not None):
             raise ValueError(f"{what} go together")
-        if given is not None and len(given) != len(seeds):
-            numbers = " ".join(map(str, range(len(given))))
+        if trained is not None and len(trained) != len(seeds):
+            numbers = " ".join(map(str, range(len(trained))))
             raise ValueError(
-                f"{what} of {len(given)} members for {len(seeds)} seeds: give as many seeds, for "
+                f"{what} of {len(trained)} members for {len(seeds)} seeds: give as many seeds, for "
                 f"instance --seeds {numbers}"
             )
 
 
 def require_fit(
-    config: Config, env: BatchedEnv | SerialEnv, inherited: Inherited
+    config: Config,
+    env: BatchedEnv | SerialEnv,
+    reward: Reward | None,
+    policy: Policy | None,
+    guide: Policy | None,
 ) -> tuple[int, int]:
-    """Return O and A as networks see them; ValueError if what a run is given does not fit them."""
+    """Return O and A as networks see them; ValueError if earlier networks see other numbers."""
     (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
     obs_dim += config.schedule.absorbing != "none"
-    discriminator, (reward, policy, guide) = config.discriminator, inherited
+    discriminator = config.discriminator
     sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
     if sees is not None and max(sees) >= obs_dim:
         raise ValueError(

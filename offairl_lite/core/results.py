@@ -1,13 +1,17 @@
 """What training reports: evaluations, and the run that they make up."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from offairl_lite.config import Config
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
+from offairl_lite.core.rollouts import Episodes, rollout
+from offairl_lite.core.shapes import Metrics
 
 
 class Row(NamedTuple):
@@ -68,3 +72,55 @@ class Run:
         about = {"run": self.name, "task": self.config.env_id}
         lines = [{**about, **row._asdict(), **row.metrics} for row in self.rows]
         return DataFrame(lines).drop(columns=["returns", "metrics"], errors="ignore")
+
+
+def evaluate(
+    policy: Policy,
+    reward: Reward | None,
+    seeds: Sequence[int],
+    num_episodes: int,
+    num_threads: int,
+    *,
+    step: int,
+    episodes: Sequence[int],
+    metrics: Metrics,
+) -> list[Row]:
+    """Return a row for each member: its mode's returns, in the same episodes every time.
+
+    Args:
+        policy: of these members, which act on its own task.
+        reward: of these members, if one is learned or frozen.
+        seeds: of these members.
+        num_episodes: of each member.
+        num_threads: of PyTorch and the physics.
+        step: environment steps that training has taken.
+        episodes: of training, of each member.
+        metrics: diagnostics of training, of each member.
+    """
+    played = rollout(policy, policy.env_id, seeds, num_episodes, num_threads=num_threads)
+    learned = learned_returns(played, reward)
+    return [
+        Row(
+            seed,
+            step,
+            int(episodes[i]),
+            float(played.returns[i].mean()),
+            tuple(map(float, played.returns[i])),
+            float(learned[i].mean()),
+            {name: float(value[i]) for name, value in metrics.items()},
+        )
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def learned_returns(episodes: Episodes, reward: Reward | None) -> np.ndarray:
+    """Return the sum of the learned reward along each episode, `(S, E)`; NaN without one."""
+    if reward is None:
+        return np.full(episodes.returns.shape, np.nan)
+    device = reward.params.device
+    obs, action = (
+        torch.as_tensor(x, dtype=torch.float32, device=device).flatten(1, 2)
+        for x in (episodes.obs, episodes.action)
+    )
+    r = reward(obs, action).view(episodes.reward.shape).cpu().numpy()
+    return (r * episodes.running).sum(-1)

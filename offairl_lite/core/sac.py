@@ -7,25 +7,36 @@ members do not influence one another.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import torch
 from torch import Tensor
 
 from offairl_lite.config import SACConfig, TD3Config
-from offairl_lite.core.absorbing import analytic_return, is_absorbing
+from offairl_lite.core.absorbing import is_absorbing
 from offairl_lite.core.acceleration import is_large, piecewise
-from offairl_lite.core.networks import Adam, Normaliser, TwinCritic, descend, optimizer_states
+from offairl_lite.core.experience import Experience
+from offairl_lite.core.networks import Adam, TwinCritic, descend, optimizer_states, zeros
 from offairl_lite.core.policies import make_actor
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, chunks
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, Column, Metrics, Obs, Params, Scalar, TwinQ, Vector
+from offairl_lite.core.shapes import (
+    Action,
+    Column,
+    Layout,
+    Metrics,
+    Obs,
+    Params,
+    Scalar,
+    TwinAction,
+    TwinQ,
+    Vector,
+)
 
 INITIAL_TEMPERATURE = 0.2
 """Where a learned α begins (released code)."""
 
-ACTOR_DELAY = 2
+POLICY_DELAY = 2
 """Critic updates for one update of actor, temperature and targets (Arnob 2020, section 3)."""
 
 
@@ -64,8 +75,8 @@ def temperature_loss(
 class OffPolicy:
     """What SAC and TD3 have in common: actor, twin critics and their targets of `S` members.
 
-    `normaliser` scales every observation that comes in, but not the absorbing indicator, which
-    `obs_dim` counts. `absorbing` is what follows a termination, as in `Schedule.absorbing`.
+    Observations come scaled. With `absorbs`, their last number says whether this is the absorbing
+    state. The weights are zeros until `init`.
     """
 
     value: Callable[[Obs, Action], Vector]
@@ -73,19 +84,12 @@ class OffPolicy:
     update_actor: Callable[[Obs, Action], None]
     """Takes one step with the actor, for standard normal noise; each learner's own."""
 
-    def __init__(
-        self,
-        config: SACConfig | TD3Config,
-        obs_dim: int,
-        action_dim: int,
-        rng: Rng,
-        normaliser: Normaliser,
-        absorbing: str = "none",
-    ) -> None:
-        self.config, self.normaliser, self.absorbing = config, normaliser, absorbing
-        self.actor = make_actor(config, obs_dim, action_dim)
-        self.critic = TwinCritic(obs_dim, action_dim, config.hidden)
-        self.actor_params, self.critic_params = self.actor.init(rng), self.critic.init(rng)
+    def __init__(self, config: SACConfig | TD3Config, layout: Layout) -> None:
+        self.config, self.absorbs = config, layout.absorbs
+        self.actor = make_actor(config, layout.obs_dim, layout.action_dim)
+        self.critic = TwinCritic(layout.obs_dim, layout.action_dim, config.hidden)
+        self.actor_params = zeros(layout, self.actor.num_params)
+        self.critic_params = torch.stack([zeros(layout, self.critic.net.num_params)] * 2)
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
@@ -93,43 +97,57 @@ class OffPolicy:
         # Everything that updates change: the tensors themselves.
         self.state = {"target": self.target_params, **trained}
 
-    def update(
-        self, batch: Batch, reward: Vector, absorbing_reward: Column, noise: Action, delayed: bool
-    ) -> Metrics:
-        """Train the critics and, if it is their turn (`delayed`), the actor and all targets.
+    @torch.no_grad()
+    def init(self, rng: Rng) -> None:
+        """Draw the initial weights, in place."""
+        self.actor_params.copy_(self.actor.init(rng))
+        self.critic_params.copy_(self.critic.init(rng))
+        self.target_params.copy_(self.critic_params)
 
-        `reward` is to be maximised; that of `batch` is not looked at. `absorbing_reward` is r(s_a).
+    @staticmethod
+    def minibatches(
+        experience: Experience, updates: int, done: int
+    ) -> Iterator[tuple[Batch, TwinAction, bool]]:
+        """Yield the arguments of so many updates, after `done` updates before.
+
+        Every `POLICY_DELAY`-th update has the actor.
+        """
+        size = experience.batch_size
+        for minibatches in chunks(updates):
+            batch = experience.sample(minibatches * size)
+            noise = experience.rng.normal(2, *batch.pre_tanh.shape[1:]).transpose(0, 1)
+            parts = batch.split(size), noise.split(size, 2)
+            for minibatch, eps in zip(*parts, strict=True):
+                done += 1
+                yield minibatch, eps, done % POLICY_DELAY == 0
+
+    def update(self, batch: Batch, noise: TwinAction, update_actor: bool) -> Metrics:
+        """Train the critics and, every so often, the actor; then the targets follow.
+
         `noise` is standard normal: that of the next actions and that of the actor's own.
         """
-        obs = self.normaliser(batch.obs)
-        target = self.target(batch, reward, absorbing_reward, noise[0])
-        q = self.critic(self.critic_params, obs, batch.action)
+        target = self.target(batch, noise[0])
+        q = self.critic(self.critic_params, batch.obs, batch.action)
         descend(critic_loss(q, target), self.critic_optimizer)
-        if delayed:
-            self.update_actor(obs, noise[1])
+        if update_actor:
+            self.update_actor(batch.obs, noise[1])
             with torch.no_grad():
                 self.target_params.lerp_(self.critic_params, self.config.target_rate)
         loss = (q.detach() - target).square().mean(-1).sum(0)
         return {"critic_loss": loss, "q": q.detach().mean((0, 2))}
 
     @torch.no_grad()
-    def target(
-        self, batch: Batch, reward: Vector, absorbing_reward: Column, noise: Action
-    ) -> Vector:
+    def target(self, batch: Batch, noise: Action) -> Vector:
         """Return y, towards which the critics are drawn."""
-        next_obs, discount = self.normaliser(batch.next_obs), self.config.discount
-        y = bellman_target(reward, batch.terminated, self.value(next_obs, noise), discount)
-        if self.absorbing != "analytic":
-            return y
-        known = analytic_return(reward, absorbing_reward, discount)
-        return torch.where(is_absorbing(next_obs), known, y)
+        next_value = self.value(batch.next_obs, noise)
+        return bellman_target(batch.reward, batch.terminated, next_value, self.config.discount)
 
-    def still(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
+    def mask_absorbing(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
         """Return actions (as `pre_tanh`) and log π, with 0 for both in the absorbing state.
 
         What is done there is done with certainty, and no gradient comes back from it.
         """
-        if self.absorbing == "none":
+        if not self.absorbs:
             return decided
         ended = is_absorbing(obs)
         masks = (ended.unsqueeze(-1) if x.ndim > ended.ndim else ended for x in decided)
@@ -141,8 +159,8 @@ class SAC(OffPolicy):
 
     config: SACConfig
 
-    def __init__(self, config: SACConfig, *given: Any) -> None:
-        super().__init__(config, *given)
+    def __init__(self, config: SACConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
         alpha = INITIAL_TEMPERATURE if config.temperature is None else config.temperature
         self.log_alpha = torch.full_like(self.actor_params.detach()[:, :1], math.log(alpha))
         wanted = config.target_entropy
@@ -153,33 +171,34 @@ class SAC(OffPolicy):
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
-        obs = self.normaliser(obs)
         in_pieces = is_large(self.config) and obs.device.type == "cpu"
         density = piecewise(self.actor.log_prob) if in_pieces else self.actor.log_prob
-        return self.still(obs, density(actor_params, obs, pre_tanh))[0]
+        return self.mask_absorbing(obs, density(actor_params, obs, pre_tanh))[0]
 
-    def update(self, *minibatch: Any) -> Metrics:
+    def update(self, batch: Batch, noise: TwinAction, update_actor: bool) -> Metrics:
         """Make the update of `OffPolicy`; the temperature is reported as it was before."""
         temperature = self.log_alpha.detach().exp().squeeze(-1)
-        return super().update(*minibatch) | {"temperature": temperature}
+        return super().update(batch, noise, update_actor) | {"temperature": temperature}
 
     def update_actor(self, obs: Obs, noise: Action) -> None:
         """Take one step with the actor, and one with the temperature, if it is learned."""
         params = self.actor_params
         if self.config.fixed_primitives:
             params = self.actor.with_fixed_primitives(params)
-        pre_tanh, log_prob = self.still(obs, *self.actor.sample(params, obs, noise))
+        pre_tanh, log_prob = self.mask_absorbing(obs, *self.actor.sample(params, obs, noise))
         # Detached, so that no gradient of the critics' weights is computed.
         q = self.critic(self.critic_params.detach(), obs, torch.tanh(pre_tanh)).amin(0)
         alpha = self.log_alpha.detach().exp()
         descend(actor_loss(log_prob, q, alpha), self.actor_optimizer)
         if self.config.temperature is None:
-            (mask,) = self.still(obs, torch.ones_like(log_prob))
+            (mask,) = self.mask_absorbing(obs, torch.ones_like(log_prob))
             loss = temperature_loss(self.log_alpha, log_prob, self.target_entropy, mask)
             descend(loss, self.alpha_optimizer)
 
     def value(self, obs: Obs, noise: Action) -> Vector:
         """Return V(s) by the target critics, at an action that `noise` draws from π."""
-        pre_tanh, log_prob = self.still(obs, *self.actor.sample(self.actor_params, obs, noise))
+        pre_tanh, log_prob = self.mask_absorbing(
+            obs, *self.actor.sample(self.actor_params, obs, noise)
+        )
         q = self.critic(self.target_params, obs, torch.tanh(pre_tanh))
         return soft_value(q, self.log_alpha.exp(), log_prob)

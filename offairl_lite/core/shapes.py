@@ -1,5 +1,8 @@
 """Shapes of tensors, for signatures: S members, B transitions; O, A: an observation, an action."""
 
+from typing import NamedTuple
+
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -7,9 +10,28 @@ Params = Float[Tensor, "S P"]  #: Weights: member i's are row i.
 TwinParams = Float[Tensor, "2 S P"]  #: Weights of two networks, the critics.
 Obs = Float[Tensor, "S B O"]  #: Observations.
 Action = Float[Tensor, "S B A"]  #: Actions in [-1, 1], their `pre_tanh`, or the noise for them.
+TwinAction = Float[Tensor, "2 S B A"]  #: Noise for the next actions and for the actor's own.
 Vector = Float[Tensor, "S B"]  #: One number for each transition.
 TwinQ = Float[Tensor, "2 S B"]  #: The values of both critics.
 Column = Float[Tensor, "S 1"]  #: One number for each member, such as a temperature or r(s_a).
 PerMember = Float[Tensor, "S"]  #: The same without the second axis.
 Scalar = Float[Tensor, ""]  #: A loss, summed over the members.
 Metrics = dict[str, PerMember]  #: Diagnostics by their names.
+
+
+class Layout(NamedTuple):
+    """What the networks of a run have in common.
+
+    Args:
+        members: S.
+        obs_dim: O, the indicator of the absorbing state included.
+        action_dim: A.
+        device: where they live.
+        absorbs: whether observations end with that indicator.
+    """
+
+    members: int
+    obs_dim: int
+    action_dim: int
+    device: torch.device | str = "cpu"
+    absorbs: bool = False

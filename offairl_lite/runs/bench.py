@@ -24,9 +24,8 @@ from tqdm.auto import tqdm
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED, Config
 from offairl_lite.core.acceleration import Execution, compiler
-from offairl_lite.core.fitting import CHUNK
 from offairl_lite.core.loop import Trainer
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import CHUNK, Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs.records import origin
@@ -100,7 +99,7 @@ def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[st
     trainer = Trainer(config, range(members), random_demonstrations(TASK), execution=how)
     blocks = trained_blocks(trainer)
     next(blocks)
-    return {"updates": partial(trainer.fit, 2 * CHUNK), "steps": partial(next, blocks)}
+    return {"updates": partial(trainer.train_on_block, 2 * CHUNK), "steps": partial(next, blocks)}
 
 
 def turn(act: Callable[[], object], seconds: float) -> float:

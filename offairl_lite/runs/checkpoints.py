@@ -29,7 +29,7 @@ from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.replay import Replay
 from offairl_lite.runs import records
 from offairl_lite.runs.inputs import digest
-from offairl_lite.runs.records import FORMAT, RunSpec, damaged
+from offairl_lite.runs.records import RunSpec, damaged
 
 CHECKPOINT, REPLAY = Path("checkpoint/checkpoint.safetensors"), Path("checkpoint/replay.f32")
 
@@ -37,6 +37,9 @@ MARGIN = 2**23
 """Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
 Found = tuple[dict[str, Tensor], dict[str, Any]]
 """A checkpoint: the trainer's state, and what is said about it."""
+FORMAT = 4
+"""Of checkpoints; it changes when older ones can no longer be resumed."""
+
 BLOCK = 1024
 """Places in the replay, with the rows of all members, that have one checksum."""
 
@@ -103,7 +106,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
         sound = about.pop("digest", None) == digest(state, about)
     except ValueError as error:
         raise damaged(folder, path, error) from error
-    records.require_format(path, about.get("format", 1))
+    records.require_format(path, about.get("format", 1), FORMAT)
     if not sound:
         raise damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.

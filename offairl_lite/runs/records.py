@@ -43,7 +43,7 @@ from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 
 FORMAT = 3
-"""Of run folders and checkpoints; it changes when older ones can no longer be read."""
+"""Of run folders; it changes when older ones can no longer be read."""
 
 METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
@@ -317,11 +317,11 @@ def beginning(folder: Path) -> Path:
     return there
 
 
-def require_format(path: Path, found: int) -> None:
+def require_format(path: Path, found: int, readable: int = FORMAT) -> None:
     """Raise ValueError unless a file is of this version's format."""
-    if found != FORMAT:
+    if found != readable:
         raise ValueError(
-            f"{path} has format {found}, and this version of the package reads format {FORMAT}: "
+            f"{path} has format {found}, and this version of the package reads format {readable}: "
             "use the version that wrote it (run.json names it), or start a new run"
         )
 

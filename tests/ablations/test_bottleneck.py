@@ -4,11 +4,11 @@ import math
 
 import pytest
 import torch
-from discriminators import CONFIGS, B, apart, data, loss_of, make
+from discriminators import CONFIGS, B, apart, data, loss_of, make, minibatch, seen, update
 from torch.nn.functional import softplus
 
 from offairl_lite.ablations.bottleneck import Code, expected_cross_entropy, gauss_hermite
-from offairl_lite.core.discriminator import airl_loss
+from offairl_lite.core.discriminator import airl_loss, both_sides
 from offairl_lite.core.networks import StackedMLP
 from offairl_lite.core.rng import Rng
 
@@ -83,18 +83,21 @@ def test_quadrature_is_exact_as_far_as_it_says(spread):
 @pytest.mark.parametrize("name", ["bottleneck r(s)", "bottleneck dac"])
 def test_the_spread_of_f_is_that_of_sampled_codes(name):
     config, discriminator, batch = CONFIGS[name], make(CONFIGS[name]), data()[0]
-    seen = discriminator.seen(batch)
-    x = seen.obs if "r(s)" in name else torch.cat([seen.obs, seen.action], -1)
+    transitions = seen(discriminator, batch)
+    x = transitions.obs if "r(s)" in name else torch.cat([transitions.obs, transitions.action], -1)
     terms = [(discriminator.reward_code, discriminator.reward_params, x, 1.0)]
     if "r(s)" in name:
         gamma = config.discriminator.discount
         code, params = discriminator.value_code, discriminator.value_params
-        terms += [(code, params, seen.obs, -1.0), (code, params, seen.next_obs, gamma)]
+        terms += [
+            (code, params, transitions.obs, -1.0),
+            (code, params, transitions.next_obs, gamma),
+        ]
     variance = divergence = 0
     for code, params, y, sign in terms:
         own, kl = code.spread(params, y)
         variance, divergence = variance + sign**2 * own, divergence + kl
-    torch.testing.assert_close(discriminator.spread(seen), (variance, divergence))
+    torch.testing.assert_close(discriminator.spread(transitions), (variance, divergence))
 
 
 def test_the_price_of_a_nat_is_the_multiplier():
@@ -105,8 +108,8 @@ def test_the_price_of_a_nat_is_the_multiplier():
         loss, metrics = loss_of(discriminator, *data())
         losses.append(loss.detach())
         excess = metrics["excess"]
-    judged = discriminator.judge(*data())
-    nats = discriminator.spread(judged.transitions)[1].mean(1).detach()
+    expert, policy, _ = minibatch(discriminator, *data())
+    nats = discriminator.spread(both_sides(expert, policy))[1].mean(1).detach()
     torch.testing.assert_close(excess, nats - 0.5)
     torch.testing.assert_close(losses[1] - losses[0], excess.sum())
     torch.testing.assert_close(losses[2] - losses[0], 3 * excess.sum())
@@ -117,7 +120,7 @@ def test_the_multiplier_rises_with_the_divergence_and_never_falls_below_zero():
     for limit, rises in ((1e-6, True), (1e6, False)):
         config = CONFIGS["bottleneck r(s)"].change(bottleneck=limit, bottleneck_rate=0.1)
         discriminator = make(config, dtype=torch.float32)
-        metrics = discriminator.update(*batches)
+        metrics = update(discriminator, *batches)
         assert (metrics["multiplier"] == 0).all()
         expected = (0.1 * metrics["excess"]).clamp(min=0).unsqueeze(1)
         torch.testing.assert_close(discriminator.multiplier, expected)
@@ -132,7 +135,7 @@ def test_the_bottleneck_holds_the_divergence_at_its_limit():
         for limit in (0.5, 1e6)
     )
     for _ in range(1000):
-        metrics, unbounded = (d.update(*batches) for d in (held, free))
+        metrics, unbounded = (update(d, *batches) for d in (held, free))
     assert (metrics["excess"].abs() < 0.25).all()
     assert (unbounded["excess"] + 1e6 > 2).all()
     assert (metrics["accuracy"] > 0.7).all()

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from discriminators import CONFIGS, B, data, loss_of, make
+from discriminators import CONFIGS, B, data, loss_of, make, minibatch, seen, update
 
 from offairl_lite.ablations.penalties import (
     OneSided,
@@ -39,7 +39,7 @@ def test_the_one_sided_penalty_forgives_what_is_flat():
             discriminator.value_params,
         )
         own, two_sided = (loss_of(d, *data())[1]["penalty"] for d in (discriminator, plain))
-        norm = plain.judge(*data()).grad_norm
+        norm = plain.gradient_norm(*minibatch(plain, *data()))
         torch.testing.assert_close(own, (norm - 1).clamp(min=0).square().mean(1).detach())
         assert bool((own == 0).all()) == forgiven
         assert (two_sided > 0.5).all()
@@ -133,11 +133,11 @@ def test_spectral_normalisation_bounds_the_slopes_of_reward_and_shaping():
         for ablation in ("spectral-norm", None)
     )
     for _ in range(200):
-        free.update(*batches)
-        bounded.update(*batches)
+        update(free, *batches)
+        update(bounded, *batches)
     steepest = []
     for made in (bounded, free):
-        _, gradients = made.f_and_gradients(made.seen(batches[0]))
+        _, gradients = made.f_and_gradients(seen(made, batches[0]))
         slope = torch.cat(gradients[:2], -1)
         steepest.append([x.norm(dim=-1).max() for x in (*gradients[1:], slope)])
     # Of f by (s, a): r's slope and V's, 1 at most each.

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from discriminators import CONFIGS, data, make
+from discriminators import CONFIGS, data, make, seen
 
 from offairl_lite.core.loop import train
 from offairl_lite.core.rewards import dac, gail_survival
@@ -10,13 +10,13 @@ from offairl_lite.core.rewards import dac, gail_survival
 
 def test_its_logit_is_a_function_of_both_states_alone():
     discriminator, (batch, other, *_) = make(CONFIGS["state pairs"]), data()
-    logit = discriminator.f(discriminator.seen(batch))
+    logit = discriminator.f(seen(discriminator, batch))
     moved = batch._replace(pre_tanh=other.pre_tanh)
-    torch.testing.assert_close(discriminator.f(discriminator.seen(moved)), logit, rtol=0, atol=0)
+    torch.testing.assert_close(discriminator.f(seen(discriminator, moved)), logit, rtol=0, atol=0)
     for part in ("obs", "next_obs"):
         changed = batch._replace(**{part: getattr(other, part)})
-        assert (discriminator.f(discriminator.seen(changed)) != logit).all()
-    scaled = discriminator.normaliser(batch.obs), discriminator.normaliser(batch.next_obs)
+        assert (discriminator.f(seen(discriminator, changed)) != logit).all()
+    scaled = batch.obs, batch.next_obs
     x = torch.cat(scaled, -1)
     expected = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
     torch.testing.assert_close(logit, expected)
@@ -25,7 +25,7 @@ def test_its_logit_is_a_function_of_both_states_alone():
 @pytest.mark.parametrize(("name", "form"), [("dac", dac), ("gail-survival", gail_survival)])
 def test_its_reward_is_that_of_its_logit(name, form):
     discriminator, batch = make(CONFIGS["state pairs"].change(reward=name)), data()[0]
-    logit = discriminator.f(discriminator.seen(batch)).detach()
+    logit = discriminator.f(seen(discriminator, batch)).detach()
     torch.testing.assert_close(discriminator.reward(batch, None), form(logit))
 
 

@@ -173,7 +173,7 @@ def test_failures_are_counted(toy, tmp_path, capsys, monkeypatch):
 
 
 def test_no_statement_of_the_book_has_failed_elsewhere():
-    """Of a page that was run less than `portable.RUNS` times `make test` makes one run more."""
+    """Of a page that was run less often than needed `make test` makes one run more."""
     entries = [portable.entry_of(name, page) for name, page in portable.pages().items()]
     assert [entry["failed"] for entry in entries if entry["failed"]] == []
     assert sum(portable.runs(entry) for entry in entries) > 0

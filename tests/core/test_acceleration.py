@@ -45,7 +45,7 @@ def trained(config, demonstrations, execution):
         for _ in trainer.run():
             if trainer.trained:
                 break
-        return torch.cat([x.flatten() for x in trainer.models.weights().values()]).cpu()
+        return torch.cat([x.flatten() for x in trainer.weights().values()]).cpu()
 
 
 def assert_same_updates(config, demonstrations, other):

@@ -14,8 +14,11 @@ from discriminators import (
     B,
     apart,
     data,
+    frozen,
     loss_of,
     make,
+    seen,
+    update,
 )
 
 from offairl_lite.ablations import bottleneck, penalties, state_pairs
@@ -120,21 +123,21 @@ def test_a_configuration_chooses_the_discriminator(kind, names):
 def test_f_is_reward_plus_shaping_by_separate_networks(name):
     config, discriminator = CONFIGS[name], make(CONFIGS[name])
     batch = data()[0]
-    s, s_next = discriminator.normaliser(batch.obs), discriminator.normaliser(batch.next_obs)
+    s, s_next = batch.obs, batch.next_obs
     x = s if "r(s)" in name else torch.cat([s, batch.action], -1)
     reward_weights, value_weights = discriminator.weights
     r = discriminator.reward_net(reward_weights, x).squeeze(-1)
     v, v_next = (discriminator.value_net(value_weights, y).squeeze(-1) for y in (s, s_next))
     expected = r + config.discriminator.discount * v_next - v
-    torch.testing.assert_close(discriminator.f(discriminator.seen(batch)), expected)
+    torch.testing.assert_close(discriminator.f(seen(discriminator, batch)), expected)
 
 
 @every_config
 def test_the_gradients_written_out_are_autograd_s(name):
     discriminator, batch = make(CONFIGS[name]), data()[0]
-    inputs = [x.clone().requires_grad_() for x in discriminator.seen(batch)]
-    f, gradients = discriminator.f_and_gradients(Transitions(*inputs))
-    expected = discriminator.f(Transitions(*inputs))
+    *inputs, log_prob = (x.clone().requires_grad_() for x in seen(discriminator, batch))
+    f, gradients = discriminator.f_and_gradients(Transitions(*inputs, log_prob))
+    expected = discriminator.f(Transitions(*inputs, log_prob))
     torch.testing.assert_close(f, expected)
     automatic = torch.autograd.grad(
         expected.sum(), inputs, allow_unused=True, materialize_grads=True
@@ -159,9 +162,9 @@ def test_the_penalty_is_that_of_autograd_between_both_sides(name):
         weight = c[..., column].view(*c.shape[:2], *(1,) * (e.ndim - 2))
         return (weight * e + (1 - weight) * p).requires_grad_()
 
-    sides = zip(discriminator.seen(expert), discriminator.seen(policy), strict=True)
+    sides = zip(seen(discriminator, expert)[:3], seen(discriminator, policy)[:3], strict=True)
     mixed = [between(*pair, k) for k, pair in enumerate(sides)]
-    logit = discriminator.f(Transitions(*mixed))
+    logit = discriminator.f(Transitions(*mixed, c[..., 3]))
     if name in AIRL:
         logit = logit - between(expert_log_prob, policy_log_prob, 3)
     output = logit if on_logit else torch.sigmoid(logit)
@@ -178,7 +181,7 @@ def test_log_odds_of_the_discriminator_are_f_minus_log_prob(name):
     discriminator, (expert, policy, *logs, c) = make(config), data()
 
     def d(batch, log_prob):
-        f = discriminator.f(discriminator.seen(batch))
+        f = discriminator.f(seen(discriminator, batch))
         return f.exp() / (f.exp() + log_prob.exp())
 
     d_expert, d_policy = d(expert, logs[0]), d(policy, logs[1])
@@ -230,11 +233,11 @@ def test_each_implementation_pays_what_it_says(number):
     config = CORRECTED.change(reward=f"implementation-{number}", **SMALL)
     discriminator = make(config)
     batch, _, log_prob, *_ = data()
-    s = discriminator.normaliser(batch.obs)
+    s = batch.obs
     x = s if number in (2, 4) else torch.cat([s, batch.action], -1)
     expected = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
     if number in (1, 2):
-        expected = discriminator.f(discriminator.seen(batch)) - log_prob
+        expected = discriminator.f(seen(discriminator, batch)) - log_prob
     torch.testing.assert_close(discriminator.reward(batch, lambda _: log_prob), expected.detach())
 
 
@@ -252,11 +255,11 @@ def test_log_prob_may_be_left_to_the_learner(number):
 @pytest.mark.parametrize("name", OF_LOGIT)
 def test_a_discriminator_without_the_policy_pays_what_its_logit_is_worth(name):
     discriminator, batch = make(CONFIGS["dac"].change(reward=name)), data()[0]
-    logit = discriminator.f(discriminator.seen(batch))
+    logit = discriminator.f(seen(discriminator, batch))
     expected = OF_LOGIT[name](logit).detach()
     torch.testing.assert_close(discriminator.reward(batch, pytest.fail), expected)
     # What is kept of it is the logit, whatever is made of it.
-    torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), logit.detach())
+    torch.testing.assert_close(frozen(discriminator)(batch.obs, batch.action), logit.detach())
 
 
 @pytest.mark.parametrize("name", ["gail-survival", "gail-termination"])
@@ -280,7 +283,7 @@ def test_log_odds_of_a_trajectory_are_those_of_its_density():
     discriminator, (expert, policy, *logs, c) = make(CONFIGS["gan-gcl"]), data()
 
     def d(batch, log_prob):
-        x = torch.cat([discriminator.normaliser(batch.obs), batch.action], -1)
+        x = torch.cat([batch.obs, batch.action], -1)
         r = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
         weight = r.view(2, -1, HORIZON).exp().prod(-1)
         return weight / (weight + log_prob.view(2, -1, HORIZON).exp().prod(-1))
@@ -294,14 +297,14 @@ def test_log_odds_of_a_trajectory_are_those_of_its_density():
 def test_each_step_of_a_trajectory_is_paid_its_share_of_the_log_odds():
     discriminator, (batch, _, log_prob, *_) = make(CONFIGS["gan-gcl"]), data()
     paid = discriminator.reward(batch, lambda _: log_prob)
-    r = discriminator.frozen(batch.obs, batch.action)
+    r = frozen(discriminator)(batch.obs, batch.action)
     torch.testing.assert_close(paid, r - log_prob.detach())
 
 
 def train(config, seeds, batches, updates=5):
     discriminator = make(config, seeds, torch.float32)
     for _ in range(updates):
-        discriminator.update(*batches)
+        update(discriminator, *batches)
     return discriminator.reward_params.detach(), discriminator.value_params.detach()
 
 
@@ -340,7 +343,7 @@ def test_training_tells_the_sides_apart():
     expert, policy, _, _, c = apart(data(batch=64, dtype=torch.float32))
     same = torch.zeros(2, 64)
     for _ in range(200):
-        metrics = discriminator.update(expert, policy, same, same, c)
+        metrics = update(discriminator, expert, policy, same, same, c)
     assert (metrics["accuracy"] > 0.9).all()
     # The expert's label is 1: its logits, and with them its rewards, are the higher ones.
     assert (metrics["expert_logit"] > 0.5).all()
@@ -353,7 +356,7 @@ def test_a_first_step_is_as_long_as_the_learning_rate():
     discriminator = make(CONFIGS["r(s)"], dtype=torch.float32)
     nets = discriminator.reward_params, discriminator.value_params
     before = [params.detach().clone() for params in nets]
-    discriminator.update(*data(dtype=torch.float32))
+    update(discriminator, *data(dtype=torch.float32))
     for params, was in zip(nets, before, strict=True):
         longest = (params.detach() - was).abs().max().item()
         assert longest == pytest.approx(LEARNING_RATE, rel=1e-2)
@@ -363,21 +366,21 @@ def test_a_frozen_reward_stays_while_the_discriminator_learns():
     discriminator = make(CONFIGS["r(s, a)"], dtype=torch.float32)
     batches = data(dtype=torch.float32)
     obs, action = batches[0].obs, batches[0].action
-    frozen = discriminator.frozen
-    before = frozen(obs, action)
-    discriminator.update(*batches)
-    assert torch.equal(frozen(obs, action), before)
-    assert not torch.equal(discriminator.frozen(obs, action), before)
+    kept = frozen(discriminator)
+    before = kept(obs, action)
+    update(discriminator, *batches)
+    assert torch.equal(kept(obs, action), before)
+    assert not torch.equal(frozen(discriminator)(obs, action), before)
 
 
 @pytest.mark.parametrize("name", sorted(CONFIGS.keys() - {"state pairs"}))
 def test_what_is_frozen_is_the_reward_that_the_discriminator_has(name):
     discriminator, batches = make(CONFIGS[name], dtype=torch.float32), data(dtype=torch.float32)
-    discriminator.update(*batches)
+    update(discriminator, *batches)
     batch, _, log_prob, *_ = batches
     paid = discriminator.reward(batch, lambda _: log_prob)
     paid = paid + log_prob if discriminator.reward_is_logit else paid
-    torch.testing.assert_close(discriminator.frozen(batch.obs, batch.action), paid)
+    torch.testing.assert_close(frozen(discriminator)(batch.obs, batch.action), paid)
 
 
 @every_config
@@ -387,12 +390,12 @@ def test_training_goes_on_from_a_state_exactly(name):
         config = config.change(bottleneck_rate=0.1)
     one, other = (make(config, dtype=torch.float32, learning_rate=0.05) for _ in range(2))
     for _ in range(3):
-        one.update(*batches)
+        update(one, *batches)
     for key, tensor in other.state.items():
         tensor.copy_(one.state[key])
     for _ in range(3):
         for discriminator in (one, other):
-            discriminator.update(*batches)
+            update(discriminator, *batches)
     assert all(torch.equal(x, other.state[key]) for key, x in one.state.items())
 
 
@@ -402,8 +405,8 @@ def test_training_goes_on_from_a_state_exactly(name):
 def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, seen):
     discriminator = make(CONFIGS[name], dtype=torch.float32, learning_rate=0.05)
     for _ in range(20):
-        discriminator.update(*data(dtype=torch.float32))
-    reward = discriminator.frozen
+        update(discriminator, *data(dtype=torch.float32))
+    reward = frozen(discriminator)
     x = Rng((3, 4)).normal(1, OBS + ACT)
     for i in range(OBS + (0 if discriminator.state_only else ACT)):
         other = x.clone()
@@ -414,7 +417,11 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
     # V sees everything.
     state = Batch(*(part.float() for part in data()[0])).obs
     f = [
-        discriminator.f(Transitions(state, state[..., :ACT], state + shift * torch.eye(OBS)[0]))
+        discriminator.f(
+            Transitions(
+                state, state[..., :ACT], state + shift * torch.eye(OBS)[0], torch.zeros(2, B)
+            )
+        )
         for shift in (0, 1)
     ]
     assert (f[0] != f[1]).all()
@@ -423,7 +430,7 @@ def test_what_r_is_not_to_see_changes_nothing_in_it_whatever_is_learned(name, se
 def test_a_reward_of_the_state_needs_no_action():
     discriminator, batch = make(CONFIGS["r(s)"]), data()[0]
     expected = discriminator.reward(batch, pytest.fail)
-    torch.testing.assert_close(discriminator.frozen(batch.obs), expected)
+    torch.testing.assert_close(frozen(discriminator)(batch.obs), expected)
 
 
 def test_diagnostics_by_hand():

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from offairl_lite.ablations.released import RELEASE
-from offairl_lite.core import fitting
+from offairl_lite.core import sac
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.loop import Trainer, complete, train
@@ -256,8 +256,8 @@ def test_members_that_end_at_different_times_train_in_blocks(
         indicators = [trainer.collector.replay.held(i).obs[:, -1] for i in range(2)]
         np.testing.assert_array_equal([(x == 1).sum() for x in indicators], loops)
         # The indicator stays 0 or 1 for the networks.
-        assert (trainer.models.learner.normaliser.mean[..., -1] == 0).all()
-        assert (trainer.models.learner.normaliser.std[..., -1] == 1).all()
+        assert (trainer.normaliser.mean[..., -1] == 0).all()
+        assert (trainer.normaliser.std[..., -1] == 1).all()
         # Demonstrations have their loops too.
         assert (trainer.demonstrations.obs[:, -1] == 1).sum() == 5
 
@@ -333,7 +333,7 @@ def test_a_frozen_reward_is_given_back_unchanged(tiny, frozen_reward):
 def test_divergence_names_seed_step_and_tensor_and_spares_the_others(
     tiny, frozen_reward, monkeypatch, delay, tensor
 ):
-    monkeypatch.setattr(fitting, "ACTOR_DELAY", delay)
+    monkeypatch.setattr(sac, "POLICY_DELAY", delay)
     reward = frozen_reward(2)
     reward.params[1] = torch.nan
     config = tiny.change(reward="frozen")
@@ -363,15 +363,15 @@ def test_a_member_that_was_given_up_stays_at_zero(tiny, until):
     config = tiny.change(reward="environment", total_steps=400, eval_every=50)
     trainer = Trainer(config, (3, 7))
     until(trainer, lambda t: t.steps == 150)
-    trainer.models.learner.actor_params.data[1, 0] = torch.nan
+    trainer.learner.actor_params.data[1, 0] = torch.nan
     with pytest.warns(UserWarning, match="seed 7 diverged by step 150: its actions"):
         rows = finish(trainer)
     assert trainer.trained == 400  # in blocks of 100, of which three came after
     assert {row.seed for each in rows for row in each} == {3}
-    for name, tensor in trainer.models.weights().items():
+    for name, tensor in trainer.weights().items():
         if tensor.ndim > 1:
             assert (tensor[..., 1, :] == 0).all(), name
-    learner = trainer.models.learner
+    learner = trainer.learner
     for weights in (learner.actor_params, learner.critic_params, learner.target_params):
         assert (weights[..., 0, :] != 0).any()
 
@@ -379,7 +379,7 @@ def test_a_member_that_was_given_up_stays_at_zero(tiny, until):
 def test_a_discriminator_that_is_not_finite_is_noticed(tiny, maze, until):
     trainer = Trainer(tiny, (3, 7), maze)
     until(trainer, lambda t: t.trained == 100)
-    trainer.models.discriminator.value_params.data[0, 0] = torch.nan
+    trainer.discriminator.value_params.data[0, 0] = torch.nan
     with pytest.warns(UserWarning, match="seed 3 diverged by step 200: its (actor|critic|reward)"):
         rows = finish(trainer)
     assert [row.seed for row in rows[-1]] == [7]

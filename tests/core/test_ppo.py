@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from offairl_lite.config import CORRECTED
-from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.ppo import PPO, Rollout, clipped_surrogate, episode_ends, gae
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Layout
 
 OBS, ACT, T = 3, 2, 12
 CONFIG = CORRECTED.change(
@@ -22,8 +22,9 @@ CONFIG = CORRECTED.change(
 
 def make(seeds=(0, 1), **changes):
     """A learner whose observations are scaled."""
-    normaliser = Normaliser(Rng(seeds).normal(1, OBS), 1 + Rng(seeds).uniform(1, OBS))
-    return PPO(CONFIG.change(**changes).learner, OBS, ACT, Rng(seeds), normaliser)
+    learner = PPO(CONFIG.change(**changes).learner, Layout(len(seeds), OBS, ACT))
+    learner.init(Rng(seeds))
+    return learner
 
 
 def log_prob(learner, block):
@@ -37,7 +38,7 @@ def data(learner, seeds=(0, 1)):
     obs, next_obs = path[:, :-1], path[:, 1:].clone()
     next_obs[:, T // 2] += 1
     noise, reward = streams.normal(T, ACT), streams.normal(T)
-    u = learner.actor.sample(learner.actor_params, learner.normaliser(obs), noise)[0].detach()
+    u = learner.actor.sample(learner.actor_params, obs, noise)[0].detach()
     block = Batch(obs, u, next_obs, torch.zeros_like(reward), torch.zeros_like(reward))
     return block, reward, streams.normal(T, ACT)
 
@@ -160,8 +161,8 @@ def test_what_a_block_teaches_is_that_of_the_equations():
     learner = make()
     block, reward, _ = data(learner)
     block.terminated[0, T // 2] = 1
-    rollout = learner.rollout(block, reward)
-    obs, next_obs = learner.normaliser(block.obs), learner.normaliser(block.next_obs)
+    rollout = learner.rollout(block._replace(reward=reward))
+    obs, next_obs = block.obs, block.next_obs
     value, next_value = (
         learner.critic(learner.critic_params, x).squeeze(-1).detach() for x in (obs, next_obs)
     )
@@ -189,7 +190,7 @@ def test_minibatches_take_the_same_steps_of_everything():
 def test_an_update_raises_the_probability_of_what_went_well():
     learner = make(learning_rate=1e-3)
     block, reward, noise = data(learner)
-    rollout = learner.rollout(block, reward)
+    rollout = learner.rollout(block._replace(reward=reward))
     learner.update(rollout, noise)
     change = log_prob(learner, block) - rollout.log_prob
     assert ((change * rollout.advantage).mean(1) > 0).all()
@@ -198,7 +199,7 @@ def test_an_update_raises_the_probability_of_what_went_well():
 def test_the_value_network_learns_its_targets():
     learner = make()
     block, reward, noise = data(learner)
-    rollout = learner.rollout(block, reward)
+    rollout = learner.rollout(block._replace(reward=reward))
     losses = [learner.update(rollout, noise)["critic_loss"] for _ in range(300)]
     assert (losses[-1] < 0.1 * losses[0]).all()
 
@@ -206,7 +207,7 @@ def test_the_value_network_learns_its_targets():
 def test_where_nothing_else_is_to_gain_the_entropy_rises():
     learner = make(temperature=0.1)
     block, reward, noise = data(learner)
-    rollout = learner.rollout(block, reward)._replace(advantage=torch.zeros(2, T))
+    rollout = learner.rollout(block._replace(reward=reward))._replace(advantage=torch.zeros(2, T))
 
     def entropy():
         return -learner.actor.sample(learner.actor_params, rollout.obs, noise)[1].mean(1).detach()
@@ -219,7 +220,7 @@ def test_where_nothing_else_is_to_gain_the_entropy_rises():
 
 def test_the_first_policy_prefers_no_direction():
     learner = make()
-    obs = learner.normaliser(data(learner)[0].obs)
+    obs = data(learner)[0].obs
     mean, log_std = learner.actor.distribution(learner.actor_params, obs)
     assert mean.abs().max() < 0.05
     low, high = CONFIG.learner.log_std_range
@@ -240,14 +241,14 @@ def test_a_reward_that_comes_later_is_credited_to_what_led_to_it():
         next_obs = obs.clone()
         next_obs[..., 0] += 1
         noise = streams.normal(2 * episodes, ACT)
-        u = learner.actor.sample(learner.actor_params, learner.normaliser(obs), noise)[0].detach()
+        u = learner.actor.sample(learner.actor_params, obs, noise)[0].detach()
         reward = torch.zeros(3, 2 * episodes)
         reward[:, 1::2] = torch.tanh(u[:, ::2, 0])
         ended = clock.expand_as(reward)
-        rollout = learner.rollout(Batch(obs, u, next_obs, reward, ended), reward)
+        rollout = learner.rollout(Batch(obs, u, next_obs, reward, ended))
         for _ in range(5):
             learner.update(rollout, streams.normal(2 * episodes, ACT))
-    mode = learner.actor.mode(learner.actor_params, learner.normaliser(obs[:, :1]))
+    mode = learner.actor.mode(learner.actor_params, obs[:, :1])
     assert (mode[..., 0] > 0.9).all()
 
 
@@ -256,7 +257,7 @@ def train(seeds, change=lambda block, reward: None):
     block, reward, noise = data(learner, seeds)
     change(block, reward)
     for _ in range(3):
-        rollout = learner.rollout(block, reward)
+        rollout = learner.rollout(block._replace(reward=reward))
         for half in (slice(0, T // 2), slice(T // 2, T)):
             index = torch.arange(T)[half].expand(len(seeds), -1)
             learner.update(rollout.rows(index), noise[:, half])

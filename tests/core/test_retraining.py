@@ -3,19 +3,20 @@
 import torch
 
 from offairl_lite.core.loop import Trainer
-from offairl_lite.core.sac import ACTOR_DELAY
+from offairl_lite.core.replay import Batch
+from offairl_lite.core.sac import POLICY_DELAY
 
 
 def retrain(trainer, reward, updates):
     """Update SAC from replay, with a frozen reward of the state."""
     size = trainer.config.schedule.batch_size
     batch = trainer.collector.replay.sample(trainer.rng, updates * size)
-    rewards = reward(batch.obs)
+    scaled = [trainer.normaliser(x) for x in (batch.obs, batch.next_obs)]
+    batch = Batch(scaled[0], batch.pre_tanh, scaled[1], reward(batch.obs), batch.terminated)
     noise = trainer.rng.normal(2, updates * size, 2).transpose(0, 1)
-    parts = zip(batch.split(size), rewards.split(size, 1), noise.split(size, 2), strict=True)
-    for k, (minibatch, r, eps) in enumerate(parts, 1):
-        given = minibatch, r, torch.zeros(1, 1), eps  # no absorbing state
-        trainer.models.learner.update(*given, k % ACTOR_DELAY == 0)
+    parts = zip(batch.split(size), noise.split(size, 2), strict=True)
+    for k, (minibatch, eps) in enumerate(parts, 1):
+        trainer.learner.update(minibatch, eps, k % POLICY_DELAY == 0)
 
 
 def test_retraining_is_plain_sac(tiny, frozen_reward):
@@ -25,8 +26,9 @@ def test_retraining_is_plain_sac(tiny, frozen_reward):
     for trainer in (by_hand, package):
         for _ in range(config.schedule.warmup_steps):
             trainer.collector.step(explore=None)
-        trainer.build(trainer.normaliser())
+        trainer.start()
     retrain(by_hand, reward, 20)
-    package.fit(20)
-    ours, theirs = (trainer.models.learner.state for trainer in (by_hand, package))
+    package.block_start = 20
+    package.train_on_block(20)
+    ours, theirs = (trainer.learner.state for trainer in (by_hand, package))
     assert all(torch.equal(ours[name], theirs[name]) for name in ours)

@@ -64,7 +64,7 @@ def test_the_actor_s_gradient_by_hand():
 def test_the_critic_s_target_is_that_of_the_equation():
     learner, (batch, reward, noise) = make(TD3), data()
     learner.target_actor_params = learner.actor.init(Rng((8, 9)))
-    obs, next_obs = learner.normaliser(batch.obs), learner.normaliser(batch.next_obs)
+    obs, next_obs = batch.obs, batch.next_obs
     mode = torch.tanh(learner.actor.net(learner.target_actor_params, next_obs))
     action = (mode + (0.2 * noise[0]).clamp(-0.5, 0.5)).clamp(-1, 1)
     q_1, q_2 = learner.critic(learner.target_params, next_obs, action)
@@ -77,7 +77,7 @@ def test_the_critic_s_target_is_that_of_the_equation():
 def test_the_actor_climbs_the_first_critic():
     learner, (batch, reward, noise) = make(TD3, learning_rate=1e-3), data()
     learner.critic_optimizer.learning_rate = 0.0
-    obs = learner.normaliser(batch.obs)
+    obs = batch.obs
 
     def value():
         action = learner.actor.mode(learner.actor_params, obs)

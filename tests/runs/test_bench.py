@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from offairl_lite.core.fitting import CHUNK
+from offairl_lite.core.replay import CHUNK
 from offairl_lite.runs import bench, cli
 from offairl_lite.runs.bench import Options
 

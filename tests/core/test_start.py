@@ -1,4 +1,4 @@
-"""The networks of a run: when they are made, what scales their inputs, and where they start."""
+"""The end of the warm-up: what scales observations, and where the networks start."""
 
 import warnings
 from functools import partial
@@ -14,11 +14,14 @@ MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hi
 run = partial(train, progress=False)
 
 
-def test_there_are_no_networks_before_the_warm_up_is_over(tiny, maze, until):
+def test_there_is_nothing_to_take_out_before_the_warm_up_is_over(tiny, maze, until):
     trainer = Trainer(tiny, (0, 1), maze)
     until(trainer, lambda t: t.steps == 100)
-    assert (trainer.models, trainer.policy, trainer.reward) == (None, None, None)
-    until(trainer, lambda t: t.models is not None)
+    assert (trainer.policy, trainer.reward) == (None, None)
+    assert all(
+        (x == 0).all() for x in (trainer.learner.actor_params, trainer.discriminator.reward_params)
+    )
+    until(trainer, lambda t: t.started)
     assert (len(trainer.policy), len(trainer.reward)) == (2, 2)
 
 
@@ -37,17 +40,16 @@ def test_later_updates_change_no_policy_and_no_reward_that_was_taken_out(tiny, m
 
 def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze, until):
     trainer = Trainer(tiny, (0,), maze)
-    until(trainer, lambda t: t.models is not None)
+    until(trainer, lambda t: t.started)
     seen = trainer.collector.replay.held(0).obs
     assert len(seen) == 100
     expected = Normaliser.of(seen.unsqueeze(0), maze.transitions.obs.unsqueeze(0))
-    for part, wanted in zip(trainer.models.learner.normaliser, expected, strict=True):
+    for part, wanted in zip(trainer.normaliser, expected, strict=True):
         torch.testing.assert_close(part, wanted)
-    assert trainer.models.discriminator.normaliser is trainer.models.learner.normaliser
     plain = Trainer(tiny.change(normalise=False), (0,), maze)
-    until(plain, lambda t: t.models is not None)
-    assert (plain.models.learner.normaliser.mean == 0).all()
-    assert (plain.models.learner.normaliser.std == 1).all()
+    until(plain, lambda t: t.started)
+    assert (plain.normaliser.mean == 0).all()
+    assert (plain.normaliser.std == 1).all()
 
 
 @pytest.mark.parametrize(("far", "warned"), [(1e7, True), (-2e5, True), (9e4, False)])
@@ -57,7 +59,7 @@ def test_a_reading_that_would_scale_all_others_to_nothing_is_named(far, warned, 
     trainer.collector.replay.rows[41, 1, 2] = far
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        until(trainer, lambda t: t.models is not None)
+        until(trainer, lambda t: t.started)
     said = f"observation[2] of member 1 of {tiny.env_id} is {far:.6g} in step 41 of the warm-up"
     assert [said in str(warning.message) for warning in found] == [True] * warned
 
@@ -70,9 +72,9 @@ def built(until):
         # The warm-up ends within an episode, where there is nothing to train on.
         config = config.change(warmup_steps=90, eval_every=90)
         trainer = Trainer(config, range(2), **given)
-        until(trainer, lambda t: t.models is not None)
+        until(trainer, lambda t: t.started)
         assert (trainer.steps, trainer.trained) == (90, 0)
-        return trainer.models
+        return trainer
 
     return build
 

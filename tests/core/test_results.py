@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from offairl_lite.core.evaluation import learned_returns
 from offairl_lite.core.loop import train
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy, SquashedGaussian
+from offairl_lite.core.results import learned_returns
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.rollouts import rollout
 

@@ -28,13 +28,14 @@ def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, 
     run(tiny.change(update_every=51, warmup_steps=51, total_steps=102), (0,), maze)
     assert len(updates) == len(judged) == 102
     assert {batch.obs.shape for batch, *_ in updates} == {(1, 8, 3)}
+    assert {side.obs.shape for minibatch in judged for side in minibatch[:2]} == {(1, 8, 3)}
 
 
 @pytest.mark.parametrize(("learner", "kind"), [("sac", SAC), ("td3", TD3)])
 def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, learner, kind):
     updates = record(kind, "update")
     run(tiny.change(reward="environment", learner=learner, update_every=31), (0,))
-    assert [delayed for *_, delayed in updates] == [False, True] * (6 * 31 // 2)
+    assert [update_actor for *_, update_actor in updates] == [False, True] * (6 * 31 // 2)
 
 
 def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer(
@@ -43,7 +44,8 @@ def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer
     seen = record(Discriminator, "update")
     trainer = Trainer(tiny.change(**ON_POLICY), (0,), maze)
     until(trainer, lambda t: seen)
-    block = {tuple(row) for row in trainer.collector.replay.last(50).obs[0].tolist()}
+    block = trainer.normaliser(trainer.collector.replay.last(50).obs)
+    block = {tuple(row) for row in block[0].tolist()}
     assert {tuple(row) for _, policy, *_ in seen for row in policy.obs[0].tolist()} <= block
 
 
@@ -54,13 +56,13 @@ def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
     trainer = Trainer(config, (0, 1), maze)
     until(trainer, lambda t: seen)
     assert len(seen) == 3
-    shown = maze.transitions.obs.view(-1, 100, 3)
-    last = trainer.collector.replay.last(200).obs
+    last = trainer.normaliser(trainer.collector.replay.last(200).obs)
+    shown = trainer.normaliser(maze.transitions.obs.unsqueeze(0)).view(2, -1, 100, 3)
     for expert, policy, *_ in seen:
         assert expert.obs.shape == policy.obs.shape == (2, 200, 3)
         for member in (0, 1):
             for episode in expert.obs[member].view(2, 100, 3):
-                assert any(torch.equal(episode, whole) for whole in shown)
+                assert any(torch.equal(episode, whole) for whole in shown[member])
             for episode in policy.obs[member].view(2, 100, 3):
                 assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
 
@@ -82,7 +84,7 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
     config = tiny.change(reward="implementation-1", loss="mixture", replay_size=size)
     run(config, (0,), maze)
     paid = [(log_density(batch),) for batch, log_density in rewarded]
-    for densities in [(args[2], args[3]) for args in seen], paid:
+    for densities in [(expert.log_prob, policy.log_prob) for expert, policy, _ in seen], paid:
         for given, w in (densities[0], 1.0), (densities[-1], share):
             expected = math.log(w / 4) if w else -1e4
             torch.testing.assert_close(given, tuple(torch.full_like(x, expected) for x in given))
@@ -95,8 +97,8 @@ def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
     config = tiny.change(env_id=HOPPER, update_every=50, absorbing="bootstrap")
     config = config.change(loss="mixture")
     run(config, (0,), random_demonstrations(HOPPER))
-    there = torch.cat([absorbing.is_absorbing(policy.obs) for _, policy, *_ in seen], 1)
-    density = torch.cat([log_prob for _, _, _, log_prob, _ in seen], 1)
+    there = torch.cat([absorbing.is_absorbing(policy.obs) for _, policy, _ in seen], 1)
+    density = torch.cat([policy.log_prob for _, policy, _ in seen], 1)
     assert there.any()
     assert (density[there] == 0).all()
     assert density[~there].min() > math.log(0.5 / 2**3) - 1e-4
@@ -110,17 +112,34 @@ def test_log_prob_is_that_of_before_the_block(tiny, maze, record, until):
     assert len(seen) == 2 * 2 + 2
     weights = [params for params, *_ in seen]
     assert all(torch.equal(params, weights[0]) for params in weights)
-    assert not torch.equal(weights[0], trainer.models.learner.actor_params)
+    assert not torch.equal(weights[0], trainer.learner.actor_params)
 
 
 # The reward.
 
 
 def test_a_reward_is_scaled(tiny, record):
-    seen = record(SAC, "update")
-    run(tiny.change(reward="environment", reward_scale=3.0), (0,))
-    assert seen
-    assert all(torch.equal(reward, 3 * batch.reward) for batch, reward, *_ in seen)
+    plain, scaled = [], []
+    for scale, seen in ((1.0, plain), (3.0, scaled)):
+        updates = record(SAC, "update")
+        # The first updates, before the actors differ.
+        config = tiny.change(reward="environment", reward_scale=scale, total_steps=100)
+        run(config, (0,))
+        seen += [batch.reward for batch, *_ in updates]
+    assert len(plain) == len(scaled) == 100
+    assert all(torch.equal(three, 3 * one) for one, three in zip(plain, scaled, strict=True))
+
+
+def test_both_networks_see_scaled_observations(tiny, maze, record, until):
+    judged, updates = record(Discriminator, "update"), record(SAC, "update")
+    trainer = Trainer(tiny, (0, 1), maze)
+    until(trainer, lambda t: t.trained == 100)
+    held = torch.stack([trainer.collector.replay.held(i).obs for i in range(2)])
+    held = trainer.normaliser(held)
+    for member in range(2):
+        known = {tuple(row) for row in held[member].tolist()}
+        for obs in (judged[0][1].obs, updates[0][0].obs):
+            assert {tuple(row) for row in obs[member].tolist()} <= known
 
 
 def test_a_centred_reward_has_no_constant(tiny, frozen_reward, until):
@@ -134,7 +153,7 @@ def test_a_centred_reward_has_no_constant(tiny, frozen_reward, until):
     def weights(reward, **changes):
         trainer = Trainer(config.change(**changes), (0,), None, reward)
         until(trainer, lambda t: t.trained == 100)
-        return trainer.models.learner.critic_params.detach()
+        return trainer.learner.critic_params.detach()
 
     torch.testing.assert_close(weights(shifted), weights(reward), rtol=0, atol=1e-4)
     plain = [weights(r, centre_reward=False) for r in (shifted, reward)]
@@ -152,34 +171,51 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
             config.change(centre_reward=centred), (0, 1), random_demonstrations(HOPPER)
         )
         until(trainer, lambda t: t.trained == 50)
-        found.append((torch.cat([reward for _, reward, *_ in updates], 1), updates[0][2]))
-    (plain, there), (centred, centred_there) = found
-    torch.testing.assert_close(centred, plain - plain.mean(1, keepdim=True))
-    torch.testing.assert_close(centred_there, there - plain.mean(1, keepdim=True))
+        found.append(torch.cat([batch.reward for batch, *_ in updates], 1))
+        ends = torch.cat([absorbing.is_absorbing(batch.next_obs) for batch, *_ in updates], 1)
+        assert ends.any()
+    plain, centred = found
+    for member in range(2):
+        shift = plain[member] - centred[member]
+        # R_T = r + γ r(s_a) / (1 - γ) has the mean 1 / (1 - γ) times.
+        torch.testing.assert_close(
+            shift[ends[member]],
+            shift[~ends[member]].mean() * torch.ones(ends[member].sum()) * 100,
+            rtol=1e-3,
+            atol=1e-3,
+        )
 
 
 @pytest.mark.parametrize("reward", ["dac", "implementation-1"])
 def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, record, until, reward):
-    updates = record(SAC, "update")
+    updates, paid = record(SAC, "update"), record(Discriminator, "reward")
     changes = {"env_id": HOPPER, "update_every": 50, "absorbing": "analytic"}
     config = tiny.change(**changes, reward=reward, reward_scale=2.0)
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
     until(trainer, lambda t: t.trained == 50)
     there, zero = absorbing.absorbing_state(torch.empty(2, 1, 12)), torch.zeros(2, 1)
+    there = trainer.normaliser(there)
     own = Batch(there, torch.zeros(2, 1, 3), there, zero, zero)
-    torch.testing.assert_close(
-        updates[-1][2], 2 * trainer.models.discriminator.reward(own, lambda _: zero)
-    )
+    r_there = 2 * trainer.discriminator.reward(own, lambda _: zero)
+    minibatches = [batch for batch, *_ in updates]
+    rows = Batch(*(torch.cat(parts, 1) for parts in zip(*minibatches, strict=True)))
+    (looped, log_density), *_ = [call for call in paid if call[0].obs.shape[1] > 1]
+    first = 2 * trainer.discriminator.reward(looped, log_density)
+    ends = absorbing.is_absorbing(rows.next_obs)
+    expected = first + ends * 0.99 * r_there / (1 - 0.99)
+    torch.testing.assert_close(rows.reward, expected)
+    assert torch.equal(rows.terminated, ends.float())
 
 
 def test_all_demonstrations_are_shown_alike_and_the_penalty_is_anywhere_between(
     tiny, maze, record, until
 ):
     seen = record(Discriminator, "update")
-    until(Trainer(tiny, (0, 1), maze), lambda t: len(seen) == 100)
-    shown, half = maze.transitions.obs, len(maze.transitions.obs) // 2
-    for member in torch.cat([expert.obs for expert, *_ in seen], 1):
-        drawn = (member.unsqueeze(1) == shown).all(-1)
+    trainer = Trainer(tiny, (0, 1), maze)
+    until(trainer, lambda t: len(seen) == 100)
+    shown, half = trainer.normaliser(maze.transitions.obs[None]), len(maze.transitions.obs) // 2
+    for member, all_of_it in zip(torch.cat([e.obs for e, *_ in seen], 1), shown, strict=True):
+        drawn = (member.unsqueeze(1) == all_of_it).all(-1)
         assert drawn.any(1).all()
         assert drawn.any(0).float().mean() > 0.9  # Of 200, in 800 draws.
         assert abs(drawn[:, :half].any(1).float().mean() - 0.5) < 4 * (0.25 / 800) ** 0.5
@@ -190,7 +226,8 @@ def test_all_demonstrations_are_shown_alike_and_the_penalty_is_anywhere_between(
 
 def test_a_frozen_reward_is_scaled_as_well(tiny, frozen_reward, record):
     seen, reward = record(SAC, "update"), frozen_reward(1, action_dim=2)
-    run(tiny.change(reward="frozen", reward_scale=3.0), (0,), None, reward)
+    config = tiny.change(reward="frozen", reward_scale=3.0, normalise=False)
+    run(config, (0,), None, reward)
     assert seen
-    for batch, paid, *_ in seen:
-        torch.testing.assert_close(paid, 3 * reward(batch.obs, batch.action))
+    for batch, *_ in seen:
+        torch.testing.assert_close(batch.reward, 3 * reward(batch.obs, batch.action))

@@ -1,0 +1,113 @@
+"""What discriminator and learner are trained on: minibatches, scaled once, where they are drawn.
+
+Beside each transition stands log π for the discriminator, and for the learner what it is paid.
+Minibatches are drawn `CHUNK` at a time, so that log π and rewards are computed in one pass: both
+stay as they are during a block.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+
+from offairl_lite.config import Config
+from offairl_lite.config.groups import OffPolicyConfig
+from offairl_lite.core import absorbing
+from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
+from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample
+from offairl_lite.core.rewards import Reward
+from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Vector
+
+
+@dataclass(frozen=True)
+class Experience:
+    """The demonstrations and the replay of a population, for one block of training.
+
+    Args:
+        config: the run's configuration.
+        replay: what the policies have done.
+        demonstrations: the expert's transitions, axes `N`, if a reward is learned.
+        normaliser: scales every observation.
+        rng: draws the minibatches.
+        source: what the learner is paid by: a discriminator, a frozen reward, or None for the
+            task's own reward.
+        log_density: log π of scaled transitions, as it was when the block began.
+    """
+
+    config: Config
+    replay: Replay
+    demonstrations: Batch | None
+    normaliser: Normaliser
+    rng: Rng
+    source: Discriminator | Reward | None
+    log_density: LogDensity
+
+    def scaled(self, batch: Batch) -> Batch:
+        """Return transitions as networks see them."""
+        obs, next_obs = self.normaliser(batch.obs), self.normaliser(batch.next_obs)
+        return batch._replace(obs=obs, next_obs=next_obs)
+
+    def discriminator_minibatches(
+        self, steps: int
+    ) -> Iterator[tuple[Transitions, Transitions, Mixing]]:
+        """Yield minibatches of the expert and of the policy, and where to take the penalty.
+
+        There are as many as `discriminator_updates` says, or as the block has steps.
+        """
+        discriminator, rng = self.source, self.rng
+        if not isinstance(discriminator, Discriminator) or self.demonstrations is None:
+            return
+        horizon = discriminator.horizon
+        size = max(self.config.schedule.batch_size // horizon, 1) * horizon
+        for minibatches in chunks(discriminator.config.updates or steps):
+            count = minibatches * size
+            drawn = (
+                sample(self.demonstrations, rng, count, horizon),
+                self.replay.sample(rng, count, horizon),
+            )
+            mixing = rng.uniform(count, 4)
+            sides = []
+            for batch in map(self.scaled, drawn):
+                needed = discriminator.needs_log_prob
+                log_prob = self.log_density(batch) if needed else torch.zeros_like(batch.reward)
+                sides.append(discriminator.transitions(batch, log_prob).split(size))
+            yield from zip(*sides, mixing.split(size, 1), strict=True)
+
+    def rewards(self, batch: Batch) -> Vector:
+        """Return what the learner is to maximise, of transitions as they are in replay."""
+        if self.source is None:
+            r = batch.reward
+        elif isinstance(self.source, Reward):
+            r = self.source(batch.obs, batch.action)  # It has a scaling of its own.
+        else:
+            r = self.source.reward(self.scaled(batch), self.log_density)
+        return self.config.learner.reward_scale * r
+
+    def paid(self, batch: Batch) -> Batch:
+        """Return scaled transitions, with what the learner is to maximise as their reward.
+
+        With `absorbing="analytic"`, R_T is written into those that lead to the absorbing state.
+        """
+        r, learner = self.rewards(batch), self.config.learner
+        centred = isinstance(learner, OffPolicyConfig) and learner.centre_reward
+        mean = r.mean(1, keepdim=True) if centred else 0
+        paid = self.scaled(batch)._replace(reward=r - mean)
+        if self.config.schedule.absorbing != "analytic":
+            return paid
+        there = self.rewards(absorbing.loop_of(batch)) - mean
+        return absorbing.with_analytic_return(paid, there, learner.discount)
+
+    def sample(self, count: int) -> Batch:
+        """Draw so many transitions of each member for the learner: axes `S count`."""
+        return self.paid(self.replay.sample(self.rng, count))
+
+    def last(self, count: int) -> Batch:
+        """Return the last so many transitions of each member for the learner, in order."""
+        return self.paid(self.replay.last(count))
+
+    @property
+    def batch_size(self) -> int:
+        """Transitions in one update of the learner."""
+        return self.config.schedule.batch_size
