@@ -1,12 +1,13 @@
 """How updates are executed: as they are written, compiled, or replayed as a CUDA graph.
 
 The update is the same function in each case; only the order of floating-point sums may differ. As
-written it is hundreds of small operations. Compiled they become a few dozen, which pays for
-networks as large as the paper's and for runs longer than the minute that compiling takes. Most of
+written it is hundreds of small operations. Compiled they become a few dozen, at two to three times
+the speed, which pays for runs longer than the minute or two that compiling takes. Most of
 what is left is matrix products. On a GPU a captured graph calls all at once.
 """
 
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map_only
 
-from offairl_lite.config import Config, LearnerConfig
+from offairl_lite.config import Config
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class Execution:
 
     Networks live on the `device`, `cpu` or `cuda`. `threads` are those of PyTorch, in the whole
     process, and of the physics: a second core does more good with a second process. To `compile`
-    updates takes a C++ compiler and about a minute. With `onednn` oneDNN makes an update's matrix
-    products, where that costs no precision.
+    updates takes a C++ compiler and a minute or two. With `onednn` oneDNN makes the matrix products
+    of large networks, where that costs no precision.
     """
 
     device: str = "cpu"
@@ -45,8 +46,10 @@ class Execution:
                 "apt install g++; macOS: xcode-select --install), or go without"
             )
 
-    def accelerate(self, step: Callable) -> Callable:
+    def accelerate(self, step: Callable, hidden: tuple[int, ...]) -> Callable:
         """Return a function that does what `step` does, which changes tensors in place.
+
+        `hidden` are the layers of the networks that it updates.
 
         It takes tensors, always of the same shapes, tuples of them, None and flags, and returns a
         dictionary of tensors.
@@ -58,24 +61,24 @@ class Execution:
             torch._dynamo.config.recompile_limit = 1_000
             torch._dynamo.config.accumulated_recompile_limit = 1_000
             step = torch.compile(step, fullgraph=True, dynamic=False)
-        if self.onednn and onednn_is_exact():
+        if self.onednn and is_large(hidden) and onednn_is_exact():
             step = with_onednn(step)
         return step if self.device == "cpu" else CudaGraphed(step)
 
 
-def is_large(config: LearnerConfig) -> bool:
+def is_large(hidden: tuple[int, ...]) -> bool:
     """Return whether networks are so large that the time goes to arithmetic, not to calls."""
-    return max(config.hidden, default=0) > 128
+    return max(hidden, default=0) > 128
 
 
-def fitting(
+def choose_execution(
     config: Config, device: str, threads: int = 1, compile: Literal["auto", "yes", "no"] = "auto"
 ) -> Execution:
-    """Return how a run is best executed; `auto` compiles long ones of large networks."""
-    large = is_large(config.learner)
-    if compile == "auto" and large and config.total_steps >= 50_000 and compiler() is not None:
+    """Return how a run is best executed; `auto` compiles long ones where there is a compiler."""
+    onednn = device == "cpu" and is_large(config.learner.hidden) and onednn_is_faster()
+    if compile == "auto" and config.total_steps >= 50_000 and compiler() is not None:
         compile = "yes"
-    return Execution(device, threads, compile == "yes", onednn=large and device == "cpu")
+    return Execution(device, threads, compile == "yes", onednn)
 
 
 PIECE = 500
@@ -131,6 +134,22 @@ def onednn_is_exact() -> bool:
     x = torch.randn(2, 256, 256, generator=torch.Generator().manual_seed(0))
     error = with_onednn(torch.bmm)(x, x) - torch.bmm(x.double(), x.double())
     return error.abs().max().item() < 1e-3
+
+
+@cache
+def onednn_is_faster() -> bool:
+    """Return whether products of a large network take less time here `with_onednn`."""
+    generator = torch.Generator().manual_seed(0)
+    x, w = (torch.randn(2, n, 256, generator=generator) for n in (100, 256))
+    kinds: dict[bool, Callable] = {False: torch.bmm, True: with_onednn(torch.bmm)}
+    seconds: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(20):  # They take turns, and the best counts: the machine may be busy.
+        for kind, product in kinds.items():
+            start = time.perf_counter()
+            for _ in range(10):
+                product(x, w)
+            seconds[kind].append(time.perf_counter() - start)
+    return min(seconds[True]) < 0.9 * min(seconds[False])
 
 
 class CudaGraphed:

@@ -92,12 +92,15 @@ class Trainer:
         # Weights are zeros until the end of the warm-up, when `start` draws them.
         layout = Layout(population, *self.dims, self.device, self.schedule.absorbing != "none")
         self.learner = make_learner(config.learner, layout)
-        self.update_learner = execution.accelerate(self.learner.update)
+        self.update_learner = execution.accelerate(self.learner.update, config.learner.hidden)
         self.discriminator = None
         if isinstance(config.discriminator, DiscriminatorConfig):
             horizon = episode_length(config, demonstrations)
             self.discriminator = make_discriminator(config.discriminator, layout, horizon)
-            self.update_discriminator = execution.accelerate(self.discriminator.update)
+            self.update_discriminator = execution.accelerate(
+                self.discriminator.update,
+                config.discriminator.reward_hidden + config.discriminator.shaping_hidden,
+            )
         self.members = Members(self.seeds, self.weights())
         replay = Replay(
             population,

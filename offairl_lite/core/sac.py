@@ -171,7 +171,7 @@ class SAC(OffPolicy):
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return log π(a|s) of the actions tanh(`pre_tanh`), under any weights of the actor."""
-        in_pieces = is_large(self.config) and obs.device.type == "cpu"
+        in_pieces = is_large(self.config.hidden) and obs.device.type == "cpu"
         density = piecewise(self.actor.log_prob) if in_pieces else self.actor.log_prob
         return self.mask_absorbing(obs, density(actor_params, obs, pre_tanh))[0]
 

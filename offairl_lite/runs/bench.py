@@ -23,7 +23,7 @@ from tqdm.auto import tqdm
 
 from offairl_lite import envs
 from offairl_lite.config import CORRECTED, Config
-from offairl_lite.core.acceleration import Execution, compiler
+from offairl_lite.core.acceleration import Execution, choose_execution, compiler
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.replay import CHUNK, Batch
 from offairl_lite.core.rng import Rng
@@ -95,7 +95,8 @@ def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[st
         total_steps=10**9,
         eval_every=10**9,
     )
-    how = Execution(options.device, options.threads, options.compile, options.device == "cpu")
+    compile: Literal["yes", "no"] = "yes" if options.compile else "no"
+    how = choose_execution(config, options.device, options.threads, compile)
     trainer = Trainer(config, range(members), random_demonstrations(TASK), execution=how)
     blocks = trained_blocks(trainer)
     next(blocks)

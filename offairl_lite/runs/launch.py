@@ -17,7 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from offairl_lite import demonstrations, envs
 from offairl_lite.config import Config, differences
 from offairl_lite.config.settings import Count, checked
-from offairl_lite.core.acceleration import fitting, is_large
+from offairl_lite.core.acceleration import choose_execution, is_large
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.results import Run
 from offairl_lite.core.rollouts import LONGEST
@@ -49,7 +49,7 @@ class Given:
         guide: Policies that act at the start of episodes, where there are `start_steps`.
         device: Where networks live.
         threads: Threads of PyTorch and of the physics in each process. Small networks need one.
-        compile: Whether updates are compiled; auto: long runs of large networks.
+        compile: Whether updates are compiled; auto: in runs of 50,000 steps or more.
     """
 
     dataset: str | None = None
@@ -153,7 +153,7 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         idle = 1 if prepare or engine == "ray" else jobs.cores()
         each = (processes or idle) // len(configs) if given.device == "cpu" else 1
         alone = processes is not None and len(configs) == 1
-        spread = {n: each if alone or is_large(c.learner) else 1 for n, c in configs.items()}
+        spread = {n: each if alone or is_large(c.learner.hidden) else 1 for n, c in configs.items()}
         data = _create(place, configs, seeds, given, spread, name, scale)
         if not prepare:
             how = {"engine": engine, "workers": processes, "address": address}
@@ -186,7 +186,7 @@ def _create(
         if config.learns_reward:
             asked = given.trajectories, given.dataset, given.subsample, given.experts
             shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
-        execution = fitting(config, given.device, given.threads, given.compile)
+        execution = choose_execution(config, given.device, given.threads, given.compile)
         # A trainer refuses what does not fit, before anything is written. A small replay will do,
         # but for GAN-GCL, which compares the replay's size with others.
         small = {"replay_size": config.schedule.update_every or 1}

@@ -13,6 +13,7 @@ from offairl_lite.core.acceleration import (
     Execution,
     compiler,
     onednn_is_exact,
+    onednn_is_faster,
     piecewise,
     with_onednn,
 )
@@ -97,8 +98,25 @@ def test_where_products_would_be_rounded_onednn_is_not_asked(monkeypatch):
     onednn_is_exact.cache_clear()
     monkeypatch.setattr(execution, "with_onednn", rounding)
     assert not onednn_is_exact()
-    assert Execution(onednn=True).accelerate(torch.bmm) is torch.bmm
+    assert Execution(onednn=True).accelerate(torch.bmm, (256,)) is torch.bmm
     onednn_is_exact.cache_clear()
+
+
+def test_only_large_networks_are_multiplied_by_onednn(monkeypatch):
+    monkeypatch.setattr(execution, "onednn_is_exact", lambda: True)
+    assert Execution(onednn=True).accelerate(torch.bmm, (128, 100)) is torch.bmm
+    assert Execution(onednn=True).accelerate(torch.bmm, (64, 129)) is not torch.bmm
+
+
+@pytest.mark.parametrize("faster", [True, False])
+def test_onednn_is_chosen_by_its_time(monkeypatch, faster):
+    def timed(step):
+        return (lambda x, w: x) if faster else (lambda *args: [step(*args) for _ in range(3)])
+
+    monkeypatch.setattr(execution, "with_onednn", timed)
+    onednn_is_faster.cache_clear()
+    assert onednn_is_faster() == faster
+    onednn_is_faster.cache_clear()
 
 
 def test_onednn_is_asked_during_an_update_alone():

@@ -136,7 +136,7 @@ def test_what_a_run_sets_itself_is_not_taken_from_the_command_line(offairl):
 )
 def test_idle_cores_share_large_networks(line, parts, offairl, monkeypatch):
     monkeypatch.setattr(jobs, "cores", lambda: 5)
-    monkeypatch.setattr(launch, "fitting", lambda *_: Execution())
+    monkeypatch.setattr(launch, "choose_execution", lambda *_: Execution())
     made = offairl(f"maze-expert --grid temperature=0.1,0.2 {line} {SMALL}")
     assert len(made) == 2 * parts
     names = [path.name for path, _ in made if path.parent.name == "temperature=0.1"]
@@ -241,16 +241,15 @@ def test_runs_without_a_member_left_are_an_error(offairl, capsys):
     [
         ("auto", "400x300", 50_000, "g++", True),
         ("auto", "400x300", 50_000, None, False),
-        ("auto", "64x64", 50_000, "g++", False),
+        ("auto", "64x64", 50_000, "g++", True),
         ("auto", "400x300", 20_000, "g++", False),
         ("yes", "64x64", 20_000, "g++", True),
         ("no", "400x300", 50_000, "g++", False),
     ],
 )
-def test_long_runs_of_large_networks_are_compiled(
-    choice, hidden, steps, compiler, expected, offairl, monkeypatch
-):
+def test_long_runs_are_compiled(choice, hidden, steps, compiler, expected, offairl, monkeypatch):
     monkeypatch.setattr("offairl_lite.core.acceleration.compiler", lambda: compiler)
+    monkeypatch.setattr("offairl_lite.core.acceleration.onednn_is_faster", lambda: True)
     line = f"maze-expert --grid hidden={hidden} --compile {choice} {SMALL} --total-steps {steps}"
     (_, given), *_ = offairl(line.replace("--total-steps 200 ", "") + " --temperature 0.1")
     assert given["spec"].execution["compile"] is expected
