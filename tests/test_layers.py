@@ -12,11 +12,11 @@ ORDER = """
 config scale core.shapes core.rng core.acceleration envs tabular core.networks core.replay
 core.absorbing core.policies core.rollouts minari_storage demonstrations cloning plain
 core.rewards
-core.discriminator core.sac core.td3 core.ppo core.results core.collector core.requirements
-core.models core.fitting core.evaluation core.loop ablations experiments analysis.statistics
-analysis.epic analysis.plots analysis.films runs.records runs.tensorboard runs.inputs
-learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders runs.grid
-runs.launch runs.bench runs.cli
+core.discriminator core.sac core.iq_learn core.td3 core.ppo core.results core.collector
+core.requirements core.models core.fitting core.evaluation core.loop ablations experiments
+analysis.statistics analysis.epic analysis.plots analysis.films runs.records runs.tensorboard
+runs.inputs learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders
+runs.grid runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

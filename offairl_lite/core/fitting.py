@@ -7,10 +7,14 @@ minibatches are computed in one pass. Both functions return the diagnostics of t
 
 from collections.abc import Iterator
 
+import torch
+
+from offairl_lite.config import Labels
 from offairl_lite.core.discriminator import LogDensity
 from offairl_lite.core.models import Models
 from offairl_lite.core.ppo import EPOCHS, PPO
 from offairl_lite.core.replay import Batch, Replay, choose
+from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import ACTOR_DELAY
 from offairl_lite.core.shapes import Metrics
 
@@ -46,12 +50,17 @@ def fit_discriminator(
 
 
 def fit_learner(
-    models: Models, replay: Replay, steps: int, log_density: LogDensity, done: int
+    models: Models,
+    replay: Replay,
+    steps: int,
+    log_density: LogDensity,
+    done: int,
+    shown: Batch | None = None,
 ) -> Metrics:
     """Train the learner as often as the block has steps, after `done` updates before.
 
     SAC and TD3 learn from replay, and every `ACTOR_DELAY`-th update has the actor. PPO learns from
-    the block itself.
+    the block itself, and SQIL and IQ-Learn from what is `shown` (axes `N`) as well.
     """
     if isinstance(models.learner, PPO):
         return _fit_on_policy(models, models.learner, replay.last(steps), log_density)
@@ -59,18 +68,35 @@ def fit_learner(
     metrics: Metrics = {}
     for minibatches in _chunks(steps):
         batch = replay.sample(rng, minibatches * batch_size)
+        if shown is not None and isinstance(models.config.discriminator, Labels):
+            batch = labelled(shown, batch, rng, batch_size)
         r = models.reward_of(batch, log_density)
         r_absorbing = models.absorbing_reward_of(batch, log_density)
         if models.learner.config.centre_reward:
             mean = r.mean(1, keepdim=True)
             r, r_absorbing = r - mean, r_absorbing - mean
-        noise = rng.normal(2, *batch.pre_tanh.shape[1:]).transpose(0, 1)
-        parts = batch.split(batch_size), r.split(batch_size, 1), noise.split(batch_size, 2)
+        noise = rng.normal(models.learner.draws, *batch.pre_tanh.shape[1:]).transpose(0, 1)
+        size = r.shape[1] // minibatches
+        parts = batch.split(size), r.split(size, 1), noise.split(size, 2)
         for minibatch, r_minibatch, eps in zip(*parts, strict=True):
             done += 1
             delayed = done % ACTOR_DELAY == 0
             metrics |= models.update_learner(minibatch, r_minibatch, r_absorbing, eps, delayed)
     return metrics
+
+
+def labelled(shown: Batch, replayed: Batch, rng: Rng, size: int) -> Batch:
+    """Return minibatches, each of `size` demonstrations, paid 1, and `size` of replay, paid 0.
+
+    `shown` has axes `N`, `replayed` and what is returned `S B` (Reddy et al. 2020, algorithm 1).
+    """
+    index = choose(rng, [len(shown.obs)] * len(rng), replayed.obs.shape[1])
+    expert = Batch(*(part[index] for part in shown))
+    expert = expert._replace(reward=torch.ones_like(expert.reward))
+    policy = replayed._replace(reward=torch.zeros_like(replayed.reward))
+    halves = zip(expert, policy, strict=True)
+    in_turn = ([part.unflatten(1, (-1, size)) for part in pair] for pair in halves)
+    return Batch(*(torch.cat(pair, 2).flatten(1, 2) for pair in in_turn))
 
 
 def _fit_on_policy(models: Models, ppo: PPO, block: Batch, log_density: LogDensity) -> Metrics:

@@ -131,7 +131,8 @@ class Trainer:
         # For both of them π is what it was before the block.
         log_density = models.log_density(self.steps)
         self.metrics |= fit_discriminator(models, self.demonstrations, replay, steps, log_density)
-        self.metrics |= fit_learner(models, replay, steps, log_density, self.trained - steps)
+        given = log_density, self.trained - steps, self.demonstrations
+        self.metrics |= fit_learner(models, replay, steps, *given)
         for name, lost in models.not_finite().items():
             self.members.give_up(lost, self.steps, f"{name} is not finite")
 

@@ -11,6 +11,7 @@ from offairl_lite.config import Config, DiscriminatorConfig, SACConfig, TD3Confi
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator, LogDensity, make_discriminator
+from offairl_lite.core.iq_learn import IQLearn
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import MultiplicativeGaussian, Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
@@ -29,7 +30,8 @@ def make_learner(
     """Return the learner that its settings ask for."""
     learner, absorbing = config.learner, config.schedule.absorbing
     if isinstance(learner, SACConfig):
-        return SAC(learner, *dims, rng, normaliser, absorbing)
+        kind = IQLearn if config.reward == "iq-learn" else SAC
+        return kind(learner, *dims, rng, normaliser, absorbing)
     if isinstance(learner, TD3Config):
         return TD3(learner, *dims, rng, normaliser, absorbing)
     return PPO(learner, *dims, rng, normaliser)

@@ -68,6 +68,8 @@ class OffPolicy:
     `obs_dim` counts. `absorbing` is what follows a termination, as in `Schedule.absorbing`.
     """
 
+    draws = 2
+    """Actions that an update draws in each state: the next ones, and the actor's own."""
     value: Callable[[Obs, Action], Vector]
     """Returns V(s) by the target critics, for standard normal noise; each learner's own."""
     update_actor: Callable[[Obs, Action], None]
@@ -104,13 +106,17 @@ class OffPolicy:
         obs = self.normaliser(batch.obs)
         target = self.target(batch, reward, absorbing_reward, noise[0])
         q = self.critic(self.critic_params, obs, batch.action)
-        descend(critic_loss(q, target), self.critic_optimizer)
+        descend(self.critic_loss(q, target, obs, noise[-1]), self.critic_optimizer)
         if delayed:
             self.update_actor(obs, noise[1])
             with torch.no_grad():
                 self.target_params.lerp_(self.critic_params, self.config.target_rate)
         loss = (q.detach() - target).square().mean(-1).sum(0)
         return {"critic_loss": loss, "q": q.detach().mean((0, 2))}
+
+    def critic_loss(self, q: TwinQ, target: Vector, obs: Obs, noise: Action) -> Scalar:
+        """Return what the critics descend; that of IQ-Learn needs `noise` for V(s)."""
+        return critic_loss(q, target)
 
     @torch.no_grad()
     def target(

@@ -9,6 +9,7 @@ import torch
 
 from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.fitting import labelled
 from offairl_lite.core.loop import Trainer, train
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
@@ -63,6 +64,57 @@ def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
                 assert any(torch.equal(episode, whole) for whole in shown)
             for episode in policy.obs[member].view(2, 100, 3):
                 assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_labelled_minibatches_are_demonstrations_and_then_replay(maze, size):
+    replayed = Batch(*(torch.rand(2, 12, *part.shape[1:]) for part in maze.transitions))
+    batch = labelled(maze.transitions, replayed, Rng((0, 1)), size)
+    rows = {tuple(row) for row in maze.transitions.obs.tolist()}
+    halves = zip(batch.split(2 * size), replayed.split(size), strict=True)
+    for both, own in halves:
+        expert, policy = (Batch(*half) for half in zip(*(x.chunk(2, 1) for x in both), strict=True))
+        assert {tuple(row) for row in expert.obs.flatten(0, 1).tolist()} <= rows
+        assert (expert.reward == 1).all()
+        assert (policy.reward == 0).all()
+        for part, same in zip(policy._replace(reward=own.reward), own, strict=True):
+            assert torch.equal(part, same)
+    # A transition of the demonstrations is a whole one, drawn by each member on its own.
+    where = {tuple(row): i for i, row in enumerate(maze.transitions.obs.tolist())}
+    first = [where[tuple(row)] for row in batch.obs[:, 0].tolist()]
+    for part, shown in zip(batch[:3], maze.transitions[:3], strict=True):
+        assert torch.equal(part[:, 0], shown[first])
+    assert not torch.equal(batch.obs[0, :size], batch.obs[1, :size])
+
+
+@pytest.mark.parametrize("absorbing", ["none", "bootstrap"])
+def test_sqil_is_sac_that_is_paid_1_for_demonstrations_and_0_for_replay(
+    tiny, random_demonstrations, record, absorbing
+):
+    updates = record(SAC, "update")
+    config = tiny.change(env_id=HOPPER, update_every=50, reward="sqil", reward_scale=3.0)
+    shown = random_demonstrations(HOPPER)
+    result = run(config.change(absorbing=absorbing), (0, 1), shown)
+    rows = {tuple(row) for row in shown.transitions.obs.tolist()}
+    assert len(updates) == 4 * 50
+    for batch, reward, *_ in updates:
+        assert reward.shape == (2, 2 * config.schedule.batch_size)
+        assert (reward == torch.tensor([3.0, 0.0]).repeat_interleave(8)).all()
+        ordinary = batch.obs[:, :8].flatten(0, 1)[:, :11]
+        seen = {tuple(row) for row in ordinary.tolist() if any(row)}
+        assert seen <= rows
+    assert result.reward is None
+    assert all(math.isnan(row.learned_return) for row in result.rows)
+
+
+def test_other_learners_draw_what_they_drew_before_there_were_labels(tiny, maze, record):
+    """The demonstrations that are at hand are not looked at."""
+    updates = record(SAC, "update")
+    run(tiny.change(reward="environment"), (0,), maze)
+    run(tiny.change(reward="environment"), (0,))
+    half = len(updates) // 2
+    for (one, *_), (other, *_) in zip(updates[:half], updates[half:], strict=True):
+        assert one.obs.shape == other.obs.shape == (1, 8, 3)
 
 
 # The density of actions.
