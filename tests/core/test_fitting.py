@@ -107,14 +107,10 @@ def test_sqil_is_sac_that_is_paid_1_for_demonstrations_and_0_for_replay(
     assert all(math.isnan(row.learned_return) for row in result.rows)
 
 
-def test_other_learners_draw_what_they_drew_before_there_were_labels(tiny, maze, record):
-    """The demonstrations that are at hand are not looked at."""
-    updates = record(SAC, "update")
-    run(tiny.change(reward="environment"), (0,), maze)
-    run(tiny.change(reward="environment"), (0,))
-    half = len(updates) // 2
-    for (one, *_), (other, *_) in zip(updates[:half], updates[half:], strict=True):
-        assert one.obs.shape == other.obs.shape == (1, 8, 3)
+def test_plain_reinforcement_learning_does_not_look_at_demonstrations_that_are_at_hand(tiny, maze):
+    config = tiny.change(reward="environment", normalise=False)
+    with_them, without = run(config, (0,), maze), run(config, (0,))
+    assert torch.equal(with_them.policy.params, without.policy.params)
 
 
 # The density of actions.
