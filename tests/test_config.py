@@ -15,6 +15,7 @@ from offairl_lite.config import (
     Config,
     DiscriminatorConfig,
     Frozen,
+    Labels,
     PPOConfig,
     SACConfig,
     Schedule,
@@ -89,6 +90,14 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
             {"reward": "frozen", "ablation": "one-sided"},
             "ablation has no use .*'frozen', ablation='one-sided': leave it out",
         ),
+        ({"reward": "sqil", "learner": "td3"}, "reward 'sqil' is for SAC's critics: use .*'sac'"),
+        (PPO | {"reward": "iq-learn"}, "reward 'iq-learn' is for SAC's critics: use .*'sac'"),
+        ({"reward": "sqil", "absorbing": "analytic"}, "'sqil' gives .*: set absorbing='bootstrap'"),
+        ({"reward": "sqil", "gradient_penalty": 1.0}, "gradient_penalty has no use .*'sqil'"),
+        ({"reward": "iq-learn", "loss": "released"}, "loss has no use with .*'iq-learn'"),
+        ({"reward": "iq-learn", "ablation": "one-sided"}, "ablation has no use with .*'iq-learn'"),
+        ({"reward": "iq-learn", "reward_scale": 2.0}, "reward_scale is 2.0 and .* pays no reward"),
+        ({"reward": "iq-learn", "centre_reward": True}, "centre_reward True, and iq-learn pays no"),
         ({"temprature": 1.0}, "no setting 'temprature'; there are: .*temperature"),
     ],
 )
@@ -159,13 +168,15 @@ def test_td3_serves_the_rewards_without_log_prob(reward):
         ("gail-survival", DiscriminatorConfig("gail-survival")),
         ("environment", None),
         ("frozen", Frozen()),
+        ("sqil", Labels("sqil")),
+        ("iq-learn", Labels("iq-learn")),
     ],
 )
 def test_a_reward_has_a_discriminator_if_it_is_learned(reward, discriminator):
     config = Config.of(reward=reward)
     assert config.discriminator == discriminator
     assert config.reward == reward
-    assert config.learns_reward is isinstance(discriminator, DiscriminatorConfig)
+    assert config.imitates is (reward not in ("environment", "frozen"))
 
 
 def test_a_configuration_cannot_be_changed():
@@ -181,6 +192,8 @@ def test_a_configuration_cannot_be_changed():
         {"learner": "td3", "reward": "dac"},
         {"reward": "environment"},
         {"reward": "frozen", "pretrained": "policy"},
+        {"reward": "sqil", "absorbing": "bootstrap", "reward_scale": 2.0},
+        {"reward": "iq-learn", "primitives": 4},
         {"ablation": "bottleneck", "bottleneck": 0.25},
         {"ablation": "spectral-norm"},
         {"learner": "sac-released", "primitives": 4},

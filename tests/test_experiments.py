@@ -23,7 +23,7 @@ def test_full_scale_is_the_paper_s_protocol(name):
         10,
     )
     assert (config.learner.hidden, config.learner.learning_rate) == ((400, 300), 1e-3)
-    if config.learns_reward:
+    if config.imitates:
         discriminator = config.discriminator
         assert discriminator.reward_hidden == discriminator.shaping_hidden == (100, 100)
         assert discriminator.activation == "tanh"
@@ -35,7 +35,8 @@ def test_demo_scale_is_small(name):
     # On-policy learning takes ten times the steps, and each of them less. The ants learn nothing in
     # fewer than 50,000, and have three seeds. What decides between methods is seen later still.
     ants = name.startswith("ant-")
-    most = {"what-decides": 100_000, "benchmark": 100_000, "locomotion": 500_000}
+    most = {"what-decides": 100_000, "locomotion": 500_000}
+    most |= {"benchmark": 100_000, "benchmark-warm": 100_000}
     most = most.get(name, 60_000 if ants or config.learner.kind == "ppo" else 20_000)
     assert config.total_steps <= most
     assert len(EXPERIMENTS[name].seeds["demo"]) == (3 if ants else 5)
@@ -267,7 +268,7 @@ def test_both_scales_of_an_experiment_ask_the_same_question():
         if experiment.reward_from in EXPERIMENTS:  # all of its runs, or a single one
             continue
         if experiment.reward_from is not None:
-            assert configure(experiment.reward_from, "full").learns_reward
+            assert configure(experiment.reward_from, "full").imitates
 
 
 def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
@@ -336,24 +337,32 @@ def test_a_run_is_configured_by_its_name():
 def test_robots_are_shown_by_as_many_experts_as_when_they_were_recorded(name):
     """One at demo scale, two at full scale; a maze has five at either; the benchmark the best."""
     experiment = EXPERIMENTS[name]
-    if name == "benchmark":
+    if name.startswith("benchmark"):
         assert experiment.experts == {"demo": "best", "full": "best"}
         return
     robot = "Point" not in experiment.configs["demo"].env_id
-    imitates = experiment.configs["demo"].learns_reward
+    imitates = experiment.configs["demo"].imitates
     one, two = (1, 2) if robot and imitates else (None, None)
     assert experiment.experts == {"demo": one, "full": two}
 
 
 def test_the_benchmark_compares_methods_with_nothing_else_between_them():
     experiment = find("benchmark")
-    assert len(experiment.variants) == 15
+    assert len(experiment.variants) == 25
     for robot in ("HalfCheetah", "Hopper", "Walker2d", "Ant", "CustomAnt"):
         recipe, dac, states = (
             configure(f"benchmark/{robot}-{method}", "demo")
             for method in ("airl", "dac", "state-dac")
         )
         assert differences(dac, states) == {"ablation": (None, "state-pairs")}
+        sqil, iq_learn = (
+            configure(f"benchmark/{robot}-{method}", "demo") for method in ("sqil", "iq-learn")
+        )
+        assert differences(sqil, iq_learn) == {"reward": ("sqil", "iq-learn")}
+        for group in ("schedule", "learner"):
+            assert getattr(sqil, group) == getattr(recipe, group)
+        warm = configure(f"benchmark-warm/{robot}-airl-warm", "demo")
+        assert differences(recipe, warm) == {"pretrained": ("nothing", "policy")}
         assert differences(recipe, dac) == {
             "reward": ("implementation-4", "dac"),
             "loss": ("released", "exact"),

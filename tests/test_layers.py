@@ -12,10 +12,10 @@ ORDER = """
 config scale core.shapes core.rng core.acceleration envs tabular core.networks core.replay
 core.absorbing core.policies core.rollouts minari_storage demonstrations cloning plain
 core.rewards
-core.discriminator core.experience core.sac core.td3 core.ppo core.learner core.results
-core.collector core.scaling core.requirements core.loop ablations experiments analysis.statistics
-analysis.epic analysis.plots analysis.films runs.records runs.tensorboard runs.inputs
-learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders runs.grid
+core.discriminator core.experience core.sac core.iq_learn core.td3 core.ppo core.learner
+core.results core.collector core.scaling core.requirements core.loop ablations experiments
+analysis.statistics analysis.epic analysis.plots analysis.films runs.records runs.tensorboard
+runs.inputs learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders runs.grid
 runs.launch runs.bench runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(

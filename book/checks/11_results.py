@@ -159,7 +159,7 @@ def small_networks(ON_ROBOTS):
         assert run.config.learner.hidden == (64, 64)
         assert run.steps[-1] <= CORRECTED.total_steps / 2
         assert 3 <= len(run.seeds) <= 5
-        if run.config.learns_reward:
+        if run.config.imitates:
             old = run.config.schedule.warmup_steps == 10_000
             assert old == (run.config.discriminator.loss != "released")
 

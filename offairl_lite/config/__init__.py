@@ -14,6 +14,8 @@ from typing import Any, Literal, get_args
 from offairl_lite.config.groups import (
     DiscriminatorConfig,
     Frozen,
+    LabelReward,
+    Labels,
     LearnedReward,
     LearnerConfig,
     PPOConfig,
@@ -35,13 +37,16 @@ class Config:
     Args:
         schedule: when things happen, and on what.
         learner: of the policy: `SACConfig`, `TD3Config` or `PPOConfig`.
-        discriminator: of the reward; `Frozen` for a reward that was learned before (transfer), None
-            for the task's own (plain reinforcement learning).
+        discriminator: of the reward; `Frozen` for a reward that was learned before (transfer),
+            `Labels` for SQIL and IQ-Learn, which learn none, None for the task's own (plain
+            reinforcement learning).
     """
 
     schedule: Schedule = field(default_factory=Schedule)
     learner: SACConfig | TD3Config | PPOConfig = field(default_factory=SACConfig)
-    discriminator: DiscriminatorConfig | Frozen | None = field(default_factory=DiscriminatorConfig)
+    discriminator: DiscriminatorConfig | Labels | Frozen | None = field(
+        default_factory=DiscriminatorConfig
+    )
 
     def __post_init__(self) -> None:
         for message in self._conflicts():
@@ -73,11 +78,28 @@ class Config:
             yield "reward 'gan-gcl' is for whole episodes of the present policy: use learner='ppo'"
         if reward.startswith("implementation") and isinstance(self.learner, TD3Config):
             yield f"reward {reward!r} needs log π, and td3's policy has none: use learner='sac'"
+        yield from self._label_conflicts()
         if isinstance(self.discriminator, DiscriminatorConfig):
             if start and self.discriminator.loss == "mixture":
                 yield "loss='mixture' counts the steps of a guide: set start_steps=0"
             if (sees := self.discriminator.reward_sees) and absorbing != "none":
                 yield f"reward_sees is {sees}, without the absorbing state: set absorbing='none'"
+
+    def _label_conflicts(self) -> Iterator[str]:
+        """Yield what does not fit SQIL and IQ-Learn."""
+        learner, absorbing = self.learner, self.schedule.absorbing
+        if not isinstance(self.discriminator, Labels):
+            return
+        if not isinstance(learner, SACConfig):
+            yield f"reward {self.reward!r} is for SAC's critics: use learner='sac'"
+        elif self.reward == "iq-learn" and (learner.centre_reward or learner.reward_scale != 1):
+            yield (
+                f"reward_scale is {learner.reward_scale} and centre_reward "
+                f"{learner.centre_reward}, and iq-learn pays no reward: set them to 1 and False"
+            )
+        if absorbing == "analytic":
+            why = f"reward {self.reward!r} gives the absorbing state no reward of its own"
+            yield f"absorbing={absorbing!r}, and {why}: set absorbing='bootstrap'"
 
     @property
     def env_id(self) -> str:
@@ -92,14 +114,14 @@ class Config:
     @property
     def reward(self) -> str:
         """What the learner maximises, as in `RewardName`."""
-        if isinstance(self.discriminator, DiscriminatorConfig):
+        if isinstance(self.discriminator, DiscriminatorConfig | Labels):
             return self.discriminator.reward
         return "environment" if self.discriminator is None else "frozen"
 
     @property
-    def learns_reward(self) -> bool:
-        """Whether a discriminator is trained."""
-        return isinstance(self.discriminator, DiscriminatorConfig)
+    def imitates(self) -> bool:
+        """Whether demonstrations are learned from, with a reward or without."""
+        return isinstance(self.discriminator, DiscriminatorConfig | Labels)
 
     @property
     def pretrained(self) -> str:
@@ -131,9 +153,8 @@ class Config:
                 raise ValueError(f"no setting {name!r}; there are: {', '.join(known)}")
             choice = [f"{k}={given[k]!r}" for k in ("learner", "reward", "ablation") if given[k]]
             raise ValueError(f"{name} has no use with {', '.join(choice)}: leave it out")
-        groups: dict[str, Any] = {
-            "discriminator": Frozen() if given["reward"] == "frozen" else None
-        }
+        others = {"frozen": Frozen(), **{name: Labels(name) for name in get_args(LabelReward)}}
+        groups: dict[str, Any] = {"discriminator": others.get(given["reward"])}
         for part, group in _types(given).items():
             own = group.settings.items()
             groups[part] = group(**{name: given[flat] for flat, (name, _) in own if flat in given})

@@ -21,7 +21,8 @@ Implementation = Literal[
     "implementation-1", "implementation-2", "implementation-3", "implementation-4"
 ]
 LearnedReward = Literal[Implementation, "dac", "gail-survival", "gail-termination", "gan-gcl"]
-RewardName = Literal[LearnedReward, "environment", "frozen"]
+LabelReward = Literal["sqil", "iq-learn"]
+RewardName = Literal[LearnedReward, LabelReward, "environment", "frozen"]
 
 
 @dataclass(frozen=True)
@@ -199,3 +200,15 @@ class DiscriminatorConfig(Checked):
 @dataclass(frozen=True)
 class Frozen:
     """In the place of a discriminator: a reward that was learned before."""
+
+
+@dataclass(frozen=True)
+class Labels(Checked):
+    """In the place of a discriminator: minibatches half of demonstrations, half of replay.
+
+    No reward is learned that could be used again.
+    """
+
+    reward: LabelReward
+    """What SAC does with the halves. SQIL pays the demonstrations 1 and replay 0; IQ-Learn's critic
+    has a loss of its own."""

@@ -97,7 +97,7 @@ class Collector:
         self.config, self.env, self.replay = config, env, replay
         self.rng, self.members, self.guide = rng, members, guide
         self.absorbing = config.schedule.absorbing != "none"
-        self.ends_matter = config.learns_reward and not config.learner.on_policy
+        self.ends_matter = config.imitates and not config.learner.on_policy
         population, action_dim = len(members.seeds), env.single_action_space.shape[0]
         self.steps = 0
         self.episodes = torch.zeros(population, dtype=torch.long)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 
 from offairl_lite.config import Config
-from offairl_lite.config.groups import OffPolicyConfig
+from offairl_lite.config.groups import Labels, OffPolicyConfig
 from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
 from offairl_lite.core.networks import Normaliser
@@ -19,6 +19,20 @@ from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Vector
+
+
+def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
+    """Return minibatches, each of `size` demonstrations, paid 1, and `size` of replay, paid 0.
+
+    All have axes `S B`; the two of a minibatch lie side by side (Reddy et al. 2020, algorithm 1).
+    """
+    expert = expert._replace(reward=torch.ones_like(expert.reward))
+    policy = policy._replace(reward=torch.zeros_like(policy.reward))
+    halves = (
+        [part.unflatten(1, (-1, size)) for part in pair]
+        for pair in zip(expert, policy, strict=True)
+    )
+    return Batch(*(torch.cat(pair, 2).flatten(1, 2) for pair in halves))
 
 
 @dataclass(frozen=True)
@@ -99,9 +113,14 @@ class Experience:
         there = self.rewards(absorbing.loop_of(batch)) - mean
         return absorbing.with_analytic_return(paid, there, learner.discount)
 
-    def sample(self, count: int) -> Batch:
-        """Draw so many transitions of each member for the learner: axes `S count`."""
-        return self.paid(self.replay.sample(self.rng, count))
+    def minibatches(self, count: int) -> list[Batch]:
+        """Draw so many minibatches for the learner; SQIL's and IQ-Learn's are twice as large."""
+        size = self.batch_size
+        batch = self.replay.sample(self.rng, count * size)
+        if isinstance(self.config.discriminator, Labels) and self.demonstrations is not None:
+            expert = sample(self.demonstrations, self.rng, count * size)
+            batch, size = labelled(expert, batch, size), 2 * size
+        return self.paid(batch).split(size)
 
     def last(self, count: int) -> Batch:
         """Return the last so many transitions of each member for the learner, in order."""

@@ -1,12 +1,13 @@
 """What Algorithm 1 asks of a learner, and which there are."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 from torch import Tensor
 
-from offairl_lite.config import LearnerConfig, PPOConfig, SACConfig, TD3Config
+from offairl_lite.config import Config, SACConfig, TD3Config
 from offairl_lite.core.experience import Experience
+from offairl_lite.core.iq_learn import IQLearn
 from offairl_lite.core.policies import Actor
 from offairl_lite.core.ppo import PPO
 from offairl_lite.core.rng import Rng
@@ -22,8 +23,10 @@ class Learner(Protocol):
     actor_params: Params
     state: dict[str, Tensor]
     """The tensors that updates change: themselves, not copies."""
-    update: Callable[..., Metrics]
-    """Makes one update, of what `minibatches` yields."""
+
+    @property
+    def update(self) -> Callable[..., Metrics]:
+        """Make one update, of what `minibatches` yields."""
 
     def init(self, rng: Rng) -> None:
         """Draw the initial weights, in place."""
@@ -35,8 +38,11 @@ class Learner(Protocol):
         """Yield the arguments of the updates for a block of steps, after `done` updates before."""
 
 
-def make_learner(config: LearnerConfig, layout: Layout) -> Learner:
+def make_learner(config: Config, layout: Layout) -> Learner:
     """Return the learner that its settings ask for."""
-    kinds: dict[type, Any] = {SACConfig: SAC, TD3Config: TD3, PPOConfig: PPO}
-    (kind,) = (kinds[base] for base in type(config).mro() if base in kinds)
-    return kind(config, layout)
+    if isinstance(config.learner, SACConfig):
+        kind = IQLearn if config.reward == "iq-learn" else SAC
+        return kind(config.learner, layout)
+    if isinstance(config.learner, TD3Config):
+        return TD3(config.learner, layout)
+    return PPO(config.learner, layout)

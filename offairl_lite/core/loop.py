@@ -91,7 +91,7 @@ class Trainer:
         self.normaliser = Normaliser.identity(population, self.dims[0], self.device)
         # Weights are zeros until the end of the warm-up, when `start` draws them.
         layout = Layout(population, *self.dims, self.device, self.schedule.absorbing != "none")
-        self.learner = make_learner(config.learner, layout)
+        self.learner = make_learner(config, layout)
         self.update_learner = execution.accelerate(self.learner.update, config.learner.hidden)
         self.discriminator = None
         if isinstance(config.discriminator, DiscriminatorConfig):

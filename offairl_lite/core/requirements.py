@@ -34,7 +34,7 @@ def require_inputs(
         raise ValueError("no seeds: give one for each member of the population")
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds are {tuple(seeds)}: two members with one seed are the same")
-    if config.learns_reward and demonstrations is None:
+    if config.imitates and demonstrations is None:
         raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
     if demonstrations is not None and demonstrations.env_id != config.env_id:
         raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")

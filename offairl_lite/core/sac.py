@@ -79,6 +79,8 @@ class OffPolicy:
     state. The weights are zeros until `init`.
     """
 
+    draws = 2
+    """Actions that an update draws in each state: the next ones, and the actor's own."""
     value: Callable[[Obs, Action], Vector]
     """Returns V(s) by the target critics, for standard normal noise; each learner's own."""
     update_actor: Callable[[Obs, Action], None]
@@ -104,20 +106,18 @@ class OffPolicy:
         self.critic_params.copy_(self.critic.init(rng))
         self.target_params.copy_(self.critic_params)
 
-    @staticmethod
     def minibatches(
-        experience: Experience, updates: int, done: int
+        self, experience: Experience, updates: int, done: int
     ) -> Iterator[tuple[Batch, TwinAction, bool]]:
         """Yield the arguments of so many updates, after `done` updates before.
 
         Every `POLICY_DELAY`-th update has the actor.
         """
-        size = experience.batch_size
-        for minibatches in chunks(updates):
-            batch = experience.sample(minibatches * size)
-            noise = experience.rng.normal(2, *batch.pre_tanh.shape[1:]).transpose(0, 1)
-            parts = batch.split(size), noise.split(size, 2)
-            for minibatch, eps in zip(*parts, strict=True):
+        for count in chunks(updates):
+            minibatches = experience.minibatches(count)
+            size, action_dim = minibatches[0].pre_tanh.shape[1:]
+            noise = experience.rng.normal(self.draws, count * size, action_dim).transpose(0, 1)
+            for minibatch, eps in zip(minibatches, noise.split(size, 2), strict=True):
                 done += 1
                 yield minibatch, eps, done % POLICY_DELAY == 0
 
@@ -128,13 +128,17 @@ class OffPolicy:
         """
         target = self.target(batch, noise[0])
         q = self.critic(self.critic_params, batch.obs, batch.action)
-        descend(critic_loss(q, target), self.critic_optimizer)
+        descend(self.critic_loss(q, target, batch.obs, noise[-1]), self.critic_optimizer)
         if update_actor:
             self.update_actor(batch.obs, noise[1])
             with torch.no_grad():
                 self.target_params.lerp_(self.critic_params, self.config.target_rate)
         loss = (q.detach() - target).square().mean(-1).sum(0)
         return {"critic_loss": loss, "q": q.detach().mean((0, 2))}
+
+    def critic_loss(self, q: TwinQ, target: Vector, obs: Obs, noise: Action) -> Scalar:
+        """Return what the critics descend; that of IQ-Learn needs `noise` for V(s)."""
+        return critic_loss(q, target)
 
     @torch.no_grad()
     def target(self, batch: Batch, noise: Action) -> Vector:

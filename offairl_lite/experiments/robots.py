@@ -74,9 +74,20 @@ _WHAT_DECIDES = crossed(
 )
 
 # What one would use instead, on the five robots, each with its strongest expert. How many
-# demonstrations there are is not of the configuration: give --trajectories.
+# demonstrations there are is not of the configuration: give --trajectories. The recipe may also
+# start from a clone, whose file has to be given, so these runs are an experiment of their own:
+# offairl clone Hopper-v5 --trajectories 4 --experts best --hidden 64 64 --absorbing-state \
+#   --seeds 0 1 2 3 4 --out clones/hopper.safetensors
+# offairl run benchmark-warm --only Hopper-airl-warm --trajectories 4 \
+#   --pretrained-policy clones/hopper.safetensors
+# (--absorbing-state for Hopper, Walker2d and Ant; --hidden 400 300 at full scale).
 _STATE_DAC: dict[str, Changes] = {"state-dac": {**_DAC, "ablation": "state-pairs"}}
-_BENCHMARK = crossed(_FIVE, {"airl": _RELEASED, "dac": _DAC, **_STATE_DAC})
+_SOFT_Q: dict[str, Changes] = {name: {"reward": name} for name in ("sqil", "iq-learn")}
+_BENCHMARK = crossed(_FIVE, {"airl": _RELEASED, "dac": _DAC, **_STATE_DAC, **_SOFT_Q})
+_WARM = crossed(_FIVE, {"airl-warm": {**_RELEASED, "pretrained": "policy"}})
+
+_LONG: Changes = {"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 10}
+_BEST: base.Experts = {"demo": "best", "full": "best"}
 
 # The paper's three candidates for an expert, on its eight tasks.
 _MAZES = {short_name(env_id): {"env_id": env_id} for env_id in (base.LEFT, base.RIGHT)}
@@ -149,11 +160,18 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_WHAT_DECIDES,
     ),
     "benchmark": _robot(
-        "The recipe, DAC and state-only DAC, 15 runs by the best experts: give --trajectories",
+        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give --trajectories",
         {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
-        demo={"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 10},
+        demo=_LONG,
         variants=_BENCHMARK,
-        experts={"demo": "best", "full": "best"},
+        experts=_BEST,
+    ),
+    "benchmark-warm": _robot(
+        "The recipe from a clone: give --trajectories, --pretrained-policy and --only, one robot",
+        {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
+        demo=_LONG,
+        variants=_WARM,
+        experts=_BEST,
     ),
     "ant-transfer": _robot(
         "On DisabledAnt, paid by the reward from CustomAnt: what of the policy to keep, α learned",

@@ -93,8 +93,7 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
     out.mkdir(parents=True, exist_ok=True)
     for kind, gives, thing in (("policy", "action", run.policy), ("reward", "reward", run.reward)):
         if thing is None:
-            own = kind == "reward" and run.config.reward == "environment"
-            why = "it was trained on the task's own" if own else "its file is not there"
+            why = (kind == "reward" and inputs.why_no_reward(run.config)) or "its file is not there"
             notes.append(f"{folder} has no {kind} to export: {why}")
             continue
         if isinstance(thing, Policy):

@@ -15,7 +15,7 @@ from typing import Any
 from torch import Tensor
 
 from offairl_lite import demonstrations as data
-from offairl_lite.config import Config
+from offairl_lite.config import Config, Labels
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
@@ -60,6 +60,17 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     return found
 
 
+def why_no_reward(config: Config) -> str | None:
+    """Return why a run leaves no reward to use again, or None if it leaves one."""
+    if config.reward == "environment":
+        return "it was trained on the task's own"
+    if isinstance(config.discriminator, Labels):
+        return f"{config.reward} imitates without learning one"
+    if getattr(config.discriminator, "kind", "") == "state-pairs":
+        return "state-only DAC judges steps from state to state"
+    return None
+
+
 def load_one(path: str | PathLike, kind: Any) -> Any:
     """Return the policies, or the rewards, of a file or of a run that has ended."""
     path = Path(path)
@@ -67,6 +78,8 @@ def load_one(path: str | PathLike, kind: Any) -> Any:
         return kind.load(path / file_name(kind) if path.is_dir() else path)
     run = read(path)
     found = run.policy if kind is Policy else run.reward
+    if found is None and kind is Reward and (why := why_no_reward(run.config)):
+        raise ValueError(f"{path} has no reward to use again: {why}")
     if found is None:
         raise FileNotFoundError(
             f"{path} has no {file_name(kind)}, which is written at the end of a run: "

@@ -73,7 +73,7 @@ class Given:
         needed = {name for config in configs for name in inputs.needed(config)}
         cures = inputs.CURES.items()
         unused = {name: f": add {cure}, or" for name, cure in cures if name not in needed}
-        if not any(config.learns_reward for config in configs):
+        if not any(config.imitates for config in configs):
             shown = ("dataset", "trajectories", "subsample", "experts")
             unused |= dict.fromkeys(shown, ", since no reward is learned:")
         elif self.dataset is not None:
@@ -183,7 +183,7 @@ def _create(
         if not missing[name]:
             continue
         things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
-        if config.learns_reward:
+        if config.imitates:
             asked = given.trajectories, given.dataset, given.subsample, given.experts
             shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
         execution = choose_execution(config, given.device, given.threads, given.compile)

@@ -109,7 +109,7 @@ def require_command(command):
         assert ("pretrained_policy" in options) == (config.pretrained != "nothing"), command
         assert ("guide" in options) == (config.schedule.start_steps > 0), command
         for about in ("dataset", "trajectories", "subsample"):
-            assert about not in options or config.learns_reward, command
+            assert about not in options or config.imitates, command
 
 
 @pytest.mark.parametrize("command", [c for c in commands() if c != "offairl demos"])

@@ -341,7 +341,7 @@ def test_a_record_is_of_the_experiment_that_it_names(folder):
     seeds = records.read(HOME / folder).seeds
     assert len(set(seeds)) == len(seeds)
     shown = spec.demonstrations
-    assert (shown is not None) == spec.config.learns_reward
+    assert (shown is not None) == spec.config.imitates
     if shown is not None:
         assert shown["trajectories"] > 0
         if shown.get("dataset") is None:  # A data set of one's own is not made by experts.

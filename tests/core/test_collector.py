@@ -44,6 +44,7 @@ def test_the_warm_up_holds_an_action_as_long_as_it_says(tiny):
         ({}, True),
         ({"absorbing": "bootstrap"}, False),
         ({"reward": "environment"}, False),
+        ({"reward": "sqil"}, True),
         ({**ON_POLICY, "reward": "gail-survival"}, False),
     ],
 )
@@ -52,7 +53,7 @@ def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
 ):
     collector._say_that_ends_matter.cache_clear()
     config = tiny.change(**{"env_id": HOPPER, "update_every": 50, **changes})
-    shown = random_demonstrations(HOPPER) if config.learns_reward else None
+    shown = random_demonstrations(HOPPER) if config.imitates else None
     run(config, (0, 1), shown)
     assert len(caplog.messages) == warned
     for message in caplog.messages:

@@ -9,8 +9,9 @@ import torch
 
 from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core.experience import labelled
 from offairl_lite.core.loop import Trainer, train
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, sample
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
@@ -65,6 +66,54 @@ def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
                 assert any(torch.equal(episode, whole) for whole in shown[member])
             for episode in policy.obs[member].view(2, 100, 3):
                 assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_labelled_minibatches_are_demonstrations_and_then_replay(maze, size):
+    replayed = Batch(*(torch.rand(2, 12, *part.shape[1:]) for part in maze.transitions))
+    batch = labelled(sample(maze.transitions, Rng((0, 1)), 12), replayed, size)
+    rows = {tuple(row) for row in maze.transitions.obs.tolist()}
+    halves = zip(batch.split(2 * size), replayed.split(size), strict=True)
+    for both, own in halves:
+        expert, policy = (Batch(*half) for half in zip(*(x.chunk(2, 1) for x in both), strict=True))
+        assert {tuple(row) for row in expert.obs.flatten(0, 1).tolist()} <= rows
+        assert (expert.reward == 1).all()
+        assert (policy.reward == 0).all()
+        for part, same in zip(policy._replace(reward=own.reward), own, strict=True):
+            assert torch.equal(part, same)
+    # A transition of the demonstrations is a whole one, drawn by each member on its own.
+    where = {tuple(row): i for i, row in enumerate(maze.transitions.obs.tolist())}
+    first = [where[tuple(row)] for row in batch.obs[:, 0].tolist()]
+    for part, shown in zip(batch[:3], maze.transitions[:3], strict=True):
+        assert torch.equal(part[:, 0], shown[first])
+    assert not torch.equal(batch.obs[0, :size], batch.obs[1, :size])
+
+
+@pytest.mark.parametrize("absorbing", ["none", "bootstrap"])
+def test_sqil_is_sac_that_is_paid_1_for_demonstrations_and_0_for_replay(
+    tiny, random_demonstrations, record, absorbing
+):
+    updates = record(SAC, "update")
+    config = tiny.change(env_id=HOPPER, update_every=50, reward="sqil")
+    config = config.change(reward_scale=3.0, normalise=False)
+    shown = random_demonstrations(HOPPER)
+    result = run(config.change(absorbing=absorbing), (0, 1), shown)
+    rows = {tuple(row) for row in shown.transitions.obs.tolist()}
+    assert len(updates) == 4 * 50
+    for batch, *_ in updates:
+        assert batch.reward.shape == (2, 2 * config.schedule.batch_size)
+        assert (batch.reward == torch.tensor([3.0, 0.0]).repeat_interleave(8)).all()
+        ordinary = batch.obs[:, :8].flatten(0, 1)[:, :11]
+        seen = {tuple(row) for row in ordinary.tolist() if any(row)}
+        assert seen <= rows
+    assert result.reward is None
+    assert all(math.isnan(row.learned_return) for row in result.rows)
+
+
+def test_plain_reinforcement_learning_does_not_look_at_demonstrations_that_are_at_hand(tiny, maze):
+    config = tiny.change(reward="environment", normalise=False)
+    with_them, without = run(config, (0,), maze), run(config, (0,))
+    assert torch.equal(with_them.policy.params, without.policy.params)
 
 
 # The density of actions.

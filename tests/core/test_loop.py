@@ -455,8 +455,10 @@ def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
         {"env_id": "Pendulum-v1", "reward": "environment", "learner": "td3", "update_every": 40},
         {**ON_POLICY, "env_id": HOPPER, "reward": "gail-survival"},
         {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
+        {"reward": "sqil", "env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap"},
+        {"reward": "iq-learn", "temperature": None},
     ],
-    ids=["maze", "bootstrap", "analytic", "td3", "ppo", "gan-gcl"],
+    ids=["maze", "bootstrap", "analytic", "td3", "ppo", "gan-gcl", "sqil", "iq-learn"],
 )
 def test_a_run_that_is_put_back_goes_the_same_way(
     tiny, random_demonstrations, tmp_path, until, steps, trained, changes
@@ -467,7 +469,7 @@ def test_a_run_that_is_put_back_goes_the_same_way(
     the start, in the warm-up, and from there on between blocks as well as within one.
     """
     config = tiny.change(eval_every=25, **changes)
-    given = random_demonstrations(config.env_id) if config.learns_reward else None
+    given = random_demonstrations(config.env_id) if config.imitates else None
 
     def trainer():
         return Trainer(config, (0, 1), given, replay_file=tmp_path / "replay", memory=60)

@@ -10,11 +10,14 @@ import pytest
 import torch
 from run_folders import create
 
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import action
 from offairl_lite.learned_reward import LearnedReward
 from offairl_lite.runs import cli, records
 from offairl_lite.runs.export import export
 from offairl_lite.runs.folders import work
+from offairl_lite.runs.inputs import load_one
 from offairl_lite.runs.records import read_json, write_json
 
 SHORT = {"update_every": 20, "total_steps": 40, "warmup_steps": 20, "eval_every": 40}
@@ -35,7 +38,7 @@ def finished(tiny, tmp_path, own, random_demonstrations):
 
     def make(seeds=(0, 3), **changes):
         config = tiny.change(env_id=own("Arm-v0"), **SHORT, **changes)
-        shown = random_demonstrations("Arm-v0") if config.learns_reward else None
+        shown = random_demonstrations("Arm-v0") if config.imitates else None
         create(tmp_path / "run", config, seeds, shown)
         work(tmp_path / "run", demonstrations=shown, progress=False)
         return tmp_path / "run"
@@ -146,6 +149,23 @@ def test_a_run_on_the_tasks_own_reward_has_none_to_export(finished, tmp_path, ca
     assert "has no reward to export: it was trained on the task's own" in capsys.readouterr().err
     assert not [*(tmp_path / "out").glob("reward*")]
     assert (tmp_path / "out/policy-1.pt2").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"reward": "sqil"}, "sqil imitates without learning one"),
+        ({"reward": "iq-learn"}, "iq-learn imitates without learning one"),
+        ({"reward": "dac", "ablation": "state-pairs"}, "state-only DAC judges steps"),
+        ({"reward": "environment"}, "it was trained on the task's own"),
+    ],
+)
+def test_a_run_that_learned_no_reward_has_none_to_use_again(finished, tmp_path, changes, why):
+    folder = finished(**changes)
+    with pytest.raises(ValueError, match=f"run has no reward to use again: {why}"):
+        load_one(folder, Reward)
+    assert len(load_one(folder, Policy)) == 2
+    assert f"no reward to export: {why}" in " ".join(export(folder, tmp_path / "out"))
 
 
 def test_members_that_have_diverged_are_left_out(finished, tmp_path):

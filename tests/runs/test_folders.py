@@ -22,7 +22,13 @@ import torch
 from run_folders import create
 from safetensors.torch import load_file, save_file
 
-from offairl_lite.config import DiscriminatorConfig, LearnedReward, differences, used_settings
+from offairl_lite.config import (
+    DiscriminatorConfig,
+    LabelReward,
+    LearnedReward,
+    differences,
+    used_settings,
+)
 from offairl_lite.config.settings import kinds
 from offairl_lite.core import networks
 from offairl_lite.core.collector import Collector
@@ -209,6 +215,8 @@ KILLED = {
     "all from other runs": {"reward": "frozen", "pretrained": "primitives", "start_steps": 30}
     | {"primitives": 2, "trunk_hidden": (8,), "primitive_hidden": (), "gate_hidden": (8,)},
     "gail and ppo": {**HOP, "reward": "gail-survival", "learner": "ppo"},
+    "sqil": {**HOP, "reward": "sqil", "absorbing": "bootstrap"},
+    "iq-learn": {"reward": "iq-learn", "temperature": None},
 }
 
 
@@ -217,7 +225,7 @@ def kill_twice(given, tmp_path):
     """Kill a run at two random moments, and compare it with one that is not killed."""
 
     def kill_twice(config, rng, checkpoint_every):
-        demonstrations, handed = given(config.env_id) if config.learns_reward else (None, None)
+        demonstrations, handed = given(config.env_id) if config.imitates else (None, None)
 
         def make(name):
             things = {"demonstrations": demonstrations, **inherited(config)}
@@ -259,7 +267,7 @@ def test_a_run_that_is_killed_at_random_moments_is_the_same_run(case, tiny, kill
 
 CHOICES = {
     "env_id": [MAZE, HOPPER, "Walker2d-v5", "Pendulum-v1"],
-    "reward": ["environment", *get_args(LearnedReward)],
+    "reward": ["environment", *get_args(LabelReward), *get_args(LearnedReward)],
     "learner": ["sac", "td3", "ppo", "sac-released"],
     "ablation": [None, None, *filter(None, kinds(DiscriminatorConfig))],
     "absorbing": ["none", "bootstrap", "analytic"],
@@ -288,7 +296,7 @@ def draw(tiny, rng, demonstrations):
             continue  # Their episodes have no common end.
         try:
             config = tiny.change(**{name: flat[name] for name in used & flat.keys()})
-            shown = demonstrations(config.env_id) if config.learns_reward else None
+            shown = demonstrations(config.env_id) if config.imitates else None
             Trainer(config, SEEDS, shown).close()
         except ValueError:
             continue
@@ -909,7 +917,7 @@ def test_a_full_disk_loses_nothing(module, name, folder, plain, tmp_path, monkey
 @pytest.mark.parametrize("case", KILLED)
 def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
     config = tiny.change(**KILLED[case])
-    demonstrations = given(config.env_id)[0] if config.learns_reward else None
+    demonstrations = given(config.env_id)[0] if config.imitates else None
     run(folder, config, demonstrations=demonstrations, **inherited(config))
     used = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     # While it is written, a second checkpoint is there.
