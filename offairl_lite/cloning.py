@@ -14,23 +14,32 @@ from tqdm.auto import trange
 from offairl_lite.config.settings import Count, Positive, Sizes, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.networks import Adam, Normaliser, descend
-from offairl_lite.core.policies import Policy, SquashedGaussian, gaussian_log_density
+from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, PerMember
+from offairl_lite.core.shapes import Action, Params, PerMember
 from offairl_lite.demonstrations import Demonstrations
 
 CHECK_EVERY = 100
 """Minibatches between two looks at the transitions that are held out."""
 
 
-def cloning_loss(mean: Action, log_std: Action, pre_tanh: Action) -> PerMember:
-    """Return E ‖tanh μ(s) - a‖² - E log N(u; μ(s), σ(s)²), where a = tanh(u) was demonstrated.
+def cloning_loss(mean: Action, pre_tanh: Action) -> PerMember:
+    """Return E ‖tanh μ(s) - a‖², where a = tanh(u) was demonstrated: what the mode is off by.
 
-    The first term fits the mode, which acts without noise. The second fits σ alone, with μ held
-    fixed: otherwise actions near ±1, whose u is large, would decide what the mode is.
+    There is no likelihood in it. With one, log σ(s) takes the network's layers from the mode, and
+    actions near ±1, whose u is large, decide what is learned.
     """
-    error = (torch.tanh(mean) - torch.tanh(pre_tanh)).square().sum(-1)
-    return (error - gaussian_log_density(pre_tanh, mean.detach(), log_std)).mean(-1)
+    return (torch.tanh(mean) - torch.tanh(pre_tanh)).square().sum(-1).mean(-1)
+
+
+def set_noise(actor: SquashedGaussian, params: Params, noise: Action) -> None:
+    """Give the actor the same σ everywhere, in place: that of typical `noise`, u - μ(s)."""
+    low, high = actor.log_std_range
+    # A median, since of actions near ±1 u says little.
+    log_std = (1.48 * noise.abs().median(1).values).log().clamp(low + 0.01, high - 0.01)
+    bias, weight = actor.net.layers(params)[-1]
+    bias[:, 0, actor.action_dim :] = torch.atanh(2 * (log_std - low) / (high - low) - 1)
+    weight[..., actor.action_dim :] = 0
 
 
 def held_out(lengths: Sequence[int]) -> Bool[Tensor, "N"]:
@@ -96,7 +105,8 @@ def clone(
 
     def loss(rows: Tensor) -> PerMember:
         shown = torch.arange(population).unsqueeze(1), rows
-        return cloning_loss(*actor.distribution(optimizer.params, obs[shown]), pre_tanh[rows])
+        mean, _ = actor.distribution(optimizer.params, obs[shown])
+        return cloning_loss(mean, pre_tanh[rows])
 
     for step in trange(1, steps + 1, desc="cloning", disable=not progress):
         rows = learned[rng.integers([len(learned)] * population, batch_size)]
@@ -109,4 +119,5 @@ def clone(
             lowest[better], best[better], at[better] = now[better], optimizer.params[better], step
         if (step - at >= patience).all():
             break
+    set_noise(actor, best, pre_tanh - actor.distribution(best, obs)[0])
     return Policy(demonstrations.env_id, actor, best, scaling)

@@ -3,9 +3,10 @@
 import pytest
 import torch
 
-from offairl_lite.cloning import clone, cloning_loss, held_out
+from offairl_lite.cloning import clone, cloning_loss, held_out, set_noise
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.loop import train
+from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
@@ -25,21 +26,22 @@ def linear(noise=0.0, episodes=10, length=100):
 
 
 def test_the_loss_by_hand():
-    mean, log_std = torch.tensor([[[0.5, -1.0]]]), torch.zeros(1, 1, 2)
-    u = torch.tensor([[[0.0, 1.0]]])
+    mean, u = torch.tensor([[[0.5, -1.0]]]), torch.tensor([[[0.0, 1.0]]])
     error = torch.tanh(torch.tensor(0.5)) ** 2 + 4 * torch.tanh(torch.tensor(1.0)) ** 2
-    density = torch.distributions.Normal(mean, 1.0).log_prob(u).sum()
-    torch.testing.assert_close(cloning_loss(mean, log_std, u), (error - density).view(1))
+    torch.testing.assert_close(cloning_loss(mean, u), error.view(1))
 
 
-def test_the_mode_is_drawn_by_actions_and_sigma_by_their_scatter():
-    u = 0.3 * Rng([0]).normal(1000, 1)
-    mean, log_std = torch.zeros(1, 1000, 1), torch.full((1, 1000, 1), u.std().log().item())
-    mean.requires_grad_(), log_std.requires_grad_()
-    of_mean, of_std = torch.autograd.grad(cloning_loss(mean, log_std, u).sum(), (mean, log_std))
-    error = (torch.tanh(mean) - torch.tanh(u)).square().sum(-1).mean()
-    torch.testing.assert_close(of_mean, torch.autograd.grad(error, mean)[0])
-    assert of_std.sum().abs() < 0.02  # σ is that of the actions
+def test_the_noise_is_the_same_everywhere_and_that_of_the_actions():
+    actor, rng = SquashedGaussian(3, 2, (8,)), Rng((0, 1))
+    params, scatter = actor.init(rng), torch.tensor([0.05, 0.7])
+    set_noise(actor, params, scatter * rng.normal(4000, 2))
+    obs = Rng((0, 1)).normal(5, 3)
+    _, log_std = actor.distribution(params, obs)
+    torch.testing.assert_close(log_std.exp(), scatter.expand(2, 5, 2), rtol=0.1, atol=0)
+    again = SquashedGaussian(3, 2, (8,)).init(Rng((0, 1)))
+    assert torch.equal(actor.mode(params, obs), actor.mode(again, obs))
+    set_noise(actor, params, torch.zeros(2, 10, 2))  # Demonstrations without noise.
+    assert actor.distribution(params, obs)[1].isfinite().all()
 
 
 def test_a_tenth_of_each_episode_is_held_out_in_one_piece():

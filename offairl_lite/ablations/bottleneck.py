@@ -22,7 +22,7 @@ from offairl_lite.core.discriminator import (
 )
 from offairl_lite.core.networks import TINY, StackedMLP, zeros
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Layout, Metrics, Params, PerMember, Scalar, Vector
+from offairl_lite.core.shapes import Layout, Metrics, OtherParams, Params, PerMember, Scalar, Vector
 
 
 def expected_cross_entropy(
@@ -68,12 +68,12 @@ class Code:
         """P: weights of encoder and head."""
         return self.encoder.num_params + self.head.num_params
 
-    def _parts(self, params: Params) -> tuple[Params, Tensor, Tensor]:
+    def _parts(self, params: Params) -> tuple[OtherParams, Tensor, Tensor]:
         """Return the encoder's weights, and the head's bias and weight."""
         encoder, head = params.split([self.encoder.num_params, self.head.num_params], 1)
         return encoder, *self.head.layers(head)[0]
 
-    def at_mean(self, params: Params) -> Params:
+    def at_mean(self, params: Params) -> OtherParams:
         """Return the weights of `net`: the head's and those of μ are one linear layer."""
         encoder, head_bias, head_weight = self._parts(params)
         *_, (bias, weight) = self.encoder.layers(encoder)
@@ -136,7 +136,7 @@ class Bottleneck(Discriminator):
         return self.reward_code, self.value_code
 
     @property
-    def weights(self) -> tuple[Params, Params]:
+    def weights(self) -> tuple[OtherParams, OtherParams]:
         """The weights of `reward_net` and `value_net`, which r and V are at the code's mean."""
         value = self.value_code.at_mean(self.value_params)
         return self.reward_code.at_mean(self.reward_params), value

@@ -18,7 +18,7 @@ from offairl_lite.core.discriminator import (
 from offairl_lite.core.networks import TINY, StackedMLP, zeros
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Layout, Metrics, Params, Vector
+from offairl_lite.core.shapes import Layout, Metrics, OtherParams, Params, Vector
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class SpectralNorm(Discriminator):
             vectors.copy_(init_vectors(net, rng))
 
     @property
-    def weights(self) -> tuple[Params, Params]:
+    def weights(self) -> tuple[OtherParams, OtherParams]:
         """The weights of `reward_net` and `value_net`, made of those that are trained."""
         of_reward, of_value = self.vectors
         reward = spectrally_normalised(self.reward_net, self.reward_params, of_reward)

@@ -15,11 +15,11 @@ from torch import Tensor
 
 from offairl_lite.core.replay import Batch
 
-Extended = Float[Tensor, "*batch O+1"]  # with the indicator
-Numbers = Float[Tensor, "*batch"]
+Extended = Float[Tensor, "*batch E"]  # with the indicator
+Numbers = Float[Tensor, "*#batch"]
 
 
-def extend(obs: Float[Tensor, "*batch O"]) -> Extended:
+def extend(obs: Float[Tensor, "*batch O"]) -> Float[Tensor, "*batch O+1"]:
     """Append the indicator, 0, to ordinary observations."""
     return torch.nn.functional.pad(obs, (0, 1))
 

@@ -30,7 +30,16 @@ from offairl_lite.core.networks import (
 from offairl_lite.core.replay import Batch, LogDensity
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, Layout, Metrics, Obs, Params, PerMember, Scalar, Vector
+from offairl_lite.core.shapes import (
+    Action,
+    Layout,
+    Metrics,
+    Obs,
+    OtherParams,
+    PerMember,
+    Scalar,
+    Vector,
+)
 
 LEARNING_RATE = 1e-3
 """Adam's, for r and V (Arnob 2020, section 5)."""
@@ -50,7 +59,10 @@ class Loss(NamedTuple):
 
 
 def airl_loss(
-    expert_logit: Vector, policy_logit: Vector, grad_norm: Vector, penalty_weight: float
+    expert_logit: Vector,
+    policy_logit: Vector,
+    grad_norm: Float[Tensor, "S _"],
+    penalty_weight: float,
 ) -> Loss:
     """Return -E_expert log D - E_policy log(1 - D) + λ E (‖∇f‖ - 1)², for D = σ(logit)."""
     cross_entropy = (softplus(-expert_logit) + softplus(policy_logit)).mean(-1)
@@ -154,7 +166,7 @@ class Discriminator:
             params.copy_(net.init(rng))
 
     @property
-    def weights(self) -> tuple[Params, Params]:
+    def weights(self) -> tuple[OtherParams, OtherParams]:
         """The weights of `reward_net` and `value_net`, made of those that are trained."""
         seeing = self.reward_params if self.mask is None else self.reward_params * self.mask
         return seeing, self.value_params

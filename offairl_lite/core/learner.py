@@ -1,7 +1,7 @@
 """What Algorithm 1 asks of a learner, and which there are."""
 
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -16,6 +16,7 @@ from offairl_lite.core.shapes import Action, Layout, Metrics, Obs, Params, Vecto
 from offairl_lite.core.td3 import TD3
 
 
+@runtime_checkable
 class Learner(Protocol):
     """Actor and critics of `S` members, whose observations come scaled."""
 

@@ -119,8 +119,6 @@ class Trainer:
         self.block_start, self.evaluated = 0, 0
         self.metrics: Metrics = {}
 
-    # ---- Algorithm 1 ----
-
     def run(self) -> Iterator[list[Row]]:
         """Run Algorithm 1 from the current state to `total_steps`.
 
@@ -214,8 +212,6 @@ class Trainer:
 
         return mixed_log_density
 
-    # ---- Acting and evaluation ----
-
     @torch.no_grad()
     def explore(self, obs: Float[Tensor, "S O"]) -> Float[Tensor, "S A"]:
         """Return what the policies do when they explore, as `pre_tanh`."""
@@ -258,8 +254,6 @@ class Trainer:
         if ended.any() and not ended.all():
             raise ValueError("members' episodes end at different times: set update_every=1000, say")
         return bool(ended.all())
-
-    # ---- What there is to know and to keep ----
 
     @property
     def steps(self) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_type_hints
 
 import torch
 from jaxtyping import Float
@@ -21,7 +21,17 @@ from torch import Tensor
 
 from offairl_lite.config.settings import Sizes, checked
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, Layout, Obs, Params, Scalar, TwinParams, TwinQ, Vector
+from offairl_lite.core.shapes import (
+    Action,
+    AnyObs,
+    Layout,
+    Obs,
+    Params,
+    Scalar,
+    TwinParams,
+    TwinQ,
+    Vector,
+)
 
 TINY = 1e-12
 """What keeps roots and quotients of lengths finite at 0."""
@@ -34,13 +44,15 @@ class Normaliser(NamedTuple):
     std: Float[Tensor, "S 1 O"]
 
     @classmethod
-    def identity(cls, population: int, obs_dim: int, device: torch.device | str = "cpu") -> Self:
+    def identity(
+        cls, population: int, obs_dim: int, device: torch.device | str = "cpu"
+    ) -> "Normaliser":
         """Return the map that changes nothing."""
         zeros = torch.zeros(population, 1, obs_dim, device=device)
         return cls(zeros, torch.ones_like(zeros))
 
     @classmethod
-    def of(cls, *sources: Obs) -> Self:
+    def of(cls, *sources: Float[Tensor, "S _ O"]) -> "Normaliser":
         """Return the map that gives an even mixture of the sources mean 0 and standard deviation 1.
 
         A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
@@ -51,7 +63,7 @@ class Normaliser(NamedTuple):
         std = torch.stack(squares).mean(0).sqrt()
         return cls(mean, torch.where(std < 1e-8 + 1e-5 * mean.abs(), 1.0, std))
 
-    def __call__(self, obs: Obs) -> Obs:
+    def __call__(self, obs: AnyObs) -> Obs:
         """Scale observations; ValueError if they have not three axes."""
         # Two axes would be taken for every member's.
         if obs.ndim != 3:
@@ -246,6 +258,9 @@ def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
     return {name: checked(name, about[name], hint) for name, hint in known if name in about}
 
 
+P = TypeVar("P", bound="Population")
+
+
 class Population:
     """Trained networks of `S` members: what a `Policy` and a `Reward` have in common."""
 
@@ -258,17 +273,17 @@ class Population:
     def __len__(self) -> int:
         return len(self.params)
 
-    def member(self, *index: int) -> Self:
+    def member(self: P, *index: int) -> P:
         """Return the population of these members alone; ValueError if there is none of a number."""
         there = Annotated[int, f"in [0, {len(self) - 1}]", lambda i: 0 <= i < len(self)]
         chosen = [checked("member", i, there) for i in index or (None,)]
         return self._each(lambda tensor: tensor[chosen])
 
-    def to(self, device: str | torch.device) -> Self:
+    def to(self: P, device: str | torch.device) -> P:
         """Return the same population on a device."""
         return self._each(lambda tensor: tensor.to(device))
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
+    def _each(self: P, change: Callable[[Tensor], Tensor]) -> P:
         """Return the population with each of its tensors changed."""
         normaliser = Normaliser(*map(change, self.normaliser))
         changed = {"params": change(self.params), "normaliser": normaliser}
@@ -280,7 +295,7 @@ class Population:
         save_weights(path, tensors, {"kind": kind, "env_id": self.env_id, **architecture})
 
     @classmethod
-    def load(cls, path: str | PathLike) -> Self:
+    def load(cls: type[P], path: str | PathLike) -> P:
         """Read what `save` wrote, see `load_weights`; ValueError if that is not whole.
 
         A file is data: its `env_id` loses the module, which only a user may name (`envs.spec`).

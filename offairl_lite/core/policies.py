@@ -20,7 +20,7 @@ from offairl_lite.config.settings import Count, Interval, Sizes
 from offairl_lite.core.absorbing import fit
 from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Action, Obs, Params, Vector
+from offairl_lite.core.shapes import Action, AnyObs, Obs, OtherParams, Params, Vector
 
 MAX_ACTION = 1 - 1e-6
 """Where `unsquash` clamps: an action closer to ±1 counts as this one."""
@@ -185,7 +185,7 @@ class MultiplicativeGaussian(SquashedGaussian):
         nets = self.trunk, *[self.primitive] * self.primitives, self.gate
         return torch.cat([net.init(rng) for net in nets], 1)
 
-    def split(self, params: Params) -> tuple[Params, Float[Tensor, "S K P"], Params]:
+    def split(self, params: Params) -> tuple[OtherParams, Float[Tensor, "S K _"], OtherParams]:
         """Return the weights of the trunk, of each primitive, and of the gate."""
         of_trunk, of_gate = self.trunk.num_params, self.gate.num_params
         trunk, primitives, gate = params.tensor_split([of_trunk, self.num_params - of_gate], 1)
@@ -257,7 +257,7 @@ class Policy(Population):
     normaliser: Normaliser
 
     @torch.no_grad()
-    def act(self, obs: Obs, noise: Action | None = None) -> Action:
+    def act(self, obs: AnyObs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given.
 
         `obs` is (S, B, O) or (1, B, O), the task's own: the absorbing state's indicator is added

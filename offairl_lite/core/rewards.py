@@ -15,7 +15,7 @@ from torch.nn.functional import logsigmoid
 from offairl_lite.config.settings import checked
 from offairl_lite.core.absorbing import fit
 from offairl_lite.core.networks import Normaliser, Population, StackedMLP, fields_of
-from offairl_lite.core.shapes import Action, Obs, Params, Vector
+from offairl_lite.core.shapes import AnyAction, AnyObs, Params, Vector
 
 
 class Implementation(NamedTuple):
@@ -69,7 +69,7 @@ class Reward(Population):
     normaliser: Normaliser
 
     @torch.no_grad()
-    def __call__(self, obs: Obs, action: Action | None = None) -> Vector:
+    def __call__(self, obs: AnyObs, action: AnyAction | None = None) -> Vector:
         """Return r of the task's observations, also without the absorbing state's indicator.
 
         A reward of the state alone needs no actions, which are scaled to [-1, 1]. ValueError if

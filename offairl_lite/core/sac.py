@@ -25,10 +25,10 @@ from offairl_lite.core.shapes import (
     Column,
     Layout,
     Metrics,
+    Noises,
     Obs,
     Params,
     Scalar,
-    TwinAction,
     TwinQ,
     Vector,
 )
@@ -108,7 +108,7 @@ class OffPolicy:
 
     def minibatches(
         self, experience: Experience, updates: int, done: int
-    ) -> Iterator[tuple[Batch, TwinAction, bool]]:
+    ) -> Iterator[tuple[Batch, Noises, bool]]:
         """Yield the arguments of so many updates, after `done` updates before.
 
         Every `POLICY_DELAY`-th update has the actor.
@@ -121,7 +121,7 @@ class OffPolicy:
                 done += 1
                 yield minibatch, eps, done % POLICY_DELAY == 0
 
-    def update(self, batch: Batch, noise: TwinAction, update_actor: bool) -> Metrics:
+    def update(self, batch: Batch, noise: Noises, update_actor: bool) -> Metrics:
         """Train the critics and, every so often, the actor; then the targets follow.
 
         `noise` is standard normal: that of the next actions and that of the actor's own.
@@ -179,7 +179,7 @@ class SAC(OffPolicy):
         density = piecewise(self.actor.log_prob) if in_pieces else self.actor.log_prob
         return self.mask_absorbing(obs, density(actor_params, obs, pre_tanh))[0]
 
-    def update(self, batch: Batch, noise: TwinAction, update_actor: bool) -> Metrics:
+    def update(self, batch: Batch, noise: Noises, update_actor: bool) -> Metrics:
         """Make the update of `OffPolicy`; the temperature is reported as it was before."""
         temperature = self.log_alpha.detach().exp().squeeze(-1)
         return super().update(batch, noise, update_actor) | {"temperature": temperature}

@@ -7,10 +7,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 Params = Float[Tensor, "S P"]  #: Weights: member i's are row i.
+OtherParams = Float[Tensor, "S _"]  #: Weights of another network in the same signature.
 TwinParams = Float[Tensor, "2 S P"]  #: Weights of two networks, the critics.
 Obs = Float[Tensor, "S B O"]  #: Observations.
+AnyObs = Float[Tensor, "#S B O"]  #: The same for all members, or those of each.
 Action = Float[Tensor, "S B A"]  #: Actions in [-1, 1], their `pre_tanh`, or the noise for them.
-TwinAction = Float[Tensor, "2 S B A"]  #: Noise for the next actions and for the actor's own.
+Noises = Float[Tensor, "D S B A"]  #: Noise for the next actions, the actor's own, and more.
+AnyAction = Float[Tensor, "#S B A"]  #: The same for all members, or those of each.
 Vector = Float[Tensor, "S B"]  #: One number for each transition.
 TwinQ = Float[Tensor, "2 S B"]  #: The values of both critics.
 Column = Float[Tensor, "S 1"]  #: One number for each member, such as a temperature or r(s_a).

@@ -29,7 +29,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self, get_type_hints
+from typing import Any, get_type_hints
 
 import torch
 
@@ -91,7 +91,7 @@ class RunSpec:
         write_json(folder / "config.json", {"format": FORMAT, **content})
 
     @classmethod
-    def read(cls, folder: str | PathLike) -> Self:
+    def read(cls, folder: str | PathLike) -> "RunSpec":
         """Read `config.json`; raise ValueError if it is of another format, or damaged."""
         path = Path(folder) / "config.json"
         if not path.is_file():
