@@ -1,0 +1,599 @@
+"""The benchmark's cells: a method on a robot, with so many demonstrations.
+
+Runs are in `records/benchmark-demo/BLOCK/ROBOT-METHOD`, and clones are
+recorded by `rollouts/benchmark.py`. Returns are in percent of what the
+expert returns without noise.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+from IPython.display import HTML
+from jaxtyping import Float64
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+import rollouts
+from drawing import table
+from offairl_lite import demonstrations, experiments
+from offairl_lite.analysis import plots
+from offairl_lite.analysis.statistics import (
+    bootstrap_interval,
+    difference,
+    interquartile_mean,
+)
+from offairl_lite.runs import records
+
+Ends = Float64[np.ndarray, "seeds"]
+
+RECORDS = Path(__file__).parent / "records/benchmark-demo"
+ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt", "Ant")
+METHODS = {
+    "clone": "cloning",
+    "airl": "the recipe",
+    "dac": "DAC",
+    "state-dac": "state-only DAC",
+    "sqil": "SQIL",
+    "iq-learn": "IQ-Learn",
+    "airl-warm": "the recipe from a clone",
+}
+BLOCKS = {
+    "1": "One demonstration",
+    "4": "Four demonstrations",
+    "50": "Fifty demonstrations",
+    "4-thinned": "Four demonstrations, every 20th step",
+    "4-long": "Four demonstrations, 500,000 steps",
+}
+_EVERYWHERE = dict.fromkeys(("clone", "airl", "dac", "state-dac"), ROBOTS)
+PLAN: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "1": _EVERYWHERE,
+    "4": dict.fromkeys(METHODS, ROBOTS),
+    "50": _EVERYWHERE,
+    "4-thinned": dict.fromkeys(("clone", "airl", "dac"), ROBOTS[:3]),
+    "4-long": dict.fromkeys(("airl", "dac"), ROBOTS[:4]),
+}
+"""The robots of each method, for each block of the table."""
+
+# The library `imitation`, folder `benchmarking` at commit 99b131f, and for
+# GAIL on Hopper and HalfCheetah `benchmarking/results` at commit 9073e39:
+# the mean returns of the seeds 100 to 104, in the order of their files.
+THEIR_EXPERTS = {
+    "Hopper": 2630.92,
+    "Walker2d": 2672.96,
+    "HalfCheetah": 3465.42,
+    "Ant": 2408.22,
+}
+THEIRS = {
+    "their cloning": {
+        "Hopper": (2239.95, 2241.96, 2194.95, 2253.88, 2283.27),
+        "Walker2d": (2493.52, 2546.03, 2431.11, 2497.32, 2593.77),
+        "HalfCheetah": (3540.47, 3308.07, 3517.64, 3405.94, 3458.01),
+        "Ant": (1499.7, 2253.66, 2079.42, 2059.98, 1870.14),
+    },
+    "their GAIL": {
+        "Hopper": (2539.6, 2681.16, 2765.27, 2679.83, 2691.2),
+        "Walker2d": (2720.91, 2600.9, 2539.56, 2712.06, 2642.98),
+        "HalfCheetah": (3174.02, 3165.06, 2917.02, 2840.81, 2952.95),
+        "Ant": (1649.79, 2377.56, 2494.22, 1789.58, 2320.07),
+    },
+    "their AIRL": {
+        "Hopper": (2600.12, 2663.1, 2740.77, 2758.67, 2613.26),
+        "Walker2d": (1044.57, 651.678, 1021.0, -8.05116, 898.306),
+        "HalfCheetah": (1674.29, 3652.14, 3491.62, 4441.25, 3960.15),
+        "Ant": (123.476, -378.377, -314.108, -0.402349, 18.9413),
+    },
+}
+
+
+COUNTS = ("1", "4", "50")
+"""The blocks that differ in the number of whole demonstrations only."""
+
+
+class Cell(NamedTuple):
+    """How each seed ends, in percent; what it cost; how many diverged.
+
+    `hours` are of one core, for all seeds together. A seed that diverged
+    has no policy, and counts as 0 %.
+    """
+
+    ends: Ends
+    steps: int
+    hours: float
+    diverged: int = 0
+
+
+Cells = Mapping[tuple[str, str, str], Cell]
+"""Cells by block, robot and method."""
+
+
+class Summary(NamedTuple):
+    """The interquartile mean with its interval, and the worst seed."""
+
+    mean: float
+    low: float
+    high: float
+    worst: float
+
+
+def env_id_of(robot: str) -> str:
+    """Return the id of a robot's task."""
+    return experiments.configure(f"benchmark/{robot}-airl", "demo").env_id
+
+
+def expert(robot: str) -> tuple[float, float]:
+    """Return what the strongest expert returns without noise, and with it.
+
+    The second is the mean of its fifty demonstrations.
+    """
+    noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
+    best = int(np.argmax(noted["returns"]))
+    return noted["returns"][best], noted["demonstrated"][best]
+
+
+def folders() -> dict[tuple[str, str, str], Path]:
+    """Return the folders of the runs that have ended, by cell."""
+    found = {}
+    for place in sorted(RECORDS.glob("*/*-*")):
+        robot, _, method = place.name.partition("-")
+        parts = records.run_folders(place)
+        states = {
+            records.read_state(part)["state"]
+            for part in parts
+            if (part / "run.json").is_file()
+        }
+        if states and states <= {records.FINISHED, records.DIVERGED}:
+            found[place.parent.name, robot, method] = place
+    return found
+
+
+def read() -> Cells:
+    """Return all cells that are recorded."""
+    found = {}
+    for key, place in folders().items():
+        run = records.read(place)
+        alive = [seed not in run.diverged for seed in run.seeds]
+        ends = np.zeros(len(run.seeds))
+        if any(alive):
+            ends[alive] = run.returns[alive, -1]
+        seconds = sum(
+            about["wall_s"] * about["threads"]
+            for about in map(records.read_state, records.run_folders(place))
+        )
+        found[key] = Cell(
+            100 * ends / expert(key[1])[0],
+            run.config.total_steps,
+            seconds / 3600,
+            len(run.diverged),
+        )
+    for block, robots in clones().items():
+        for robot, cell in robots.items():
+            found[block, robot, "clone"] = Cell(
+                100 * cell["returns"] / expert(robot)[0],
+                0,
+                cell["seconds"] / 3600,
+            )
+    return found
+
+
+def clones() -> dict[str, dict]:
+    """Return what is recorded of clones, by block and robot."""
+    found = rollouts.read("benchmark")
+    return {block: found[block] for block in BLOCKS if block in found}
+
+
+def planned() -> set[tuple[str, str, str]]:
+    """Return the cells that the table is to have."""
+    return {
+        (block, robot, method)
+        for block, methods in PLAN.items()
+        for method, robots in methods.items()
+        for robot in robots
+    }
+
+
+def filled(cells: Cells) -> str:
+    """Say how many cells there are, of how many."""
+    wanted, there = planned(), set(cells)
+    text = f"{len(wanted & there)} of {len(wanted)} cells are filled."
+    if wanted - there:
+        text += " The rest have not been run yet."
+    lost = sum(cell.diverged for cell in cells.values())
+    if lost:
+        text += f" Seeds that diverged count as 0 %: {lost}."
+    return text
+
+
+def summary(ends: Ends) -> Summary:
+    """Return the four numbers of a cell, in percent."""
+    low, high = bootstrap_interval(ends)
+    mean = interquartile_mean(ends)
+    return Summary(float(mean), float(low), float(high), float(ends.min()))
+
+
+def average(cells: Cells, block: str, method: str) -> float | None:
+    """Return the mean over the robots of a row; None if one is missing."""
+    keys = [(block, robot, method) for robot in PLAN[block][method]]
+    if not all(key in cells for key in keys):
+        return None
+    return float(np.mean([summary(cells[key].ends).mean for key in keys]))
+
+
+def clear(
+    cells: Cells, block: str, one: str, other: str
+) -> tuple[list[str], list[str]]:
+    """Return on which robots one method is clearly ahead, and behind.
+
+    A difference is clear if the 95 % interval of the difference of the
+    interquartile means excludes 0.
+    """
+    ahead, behind = [], []
+    for robot in ROBOTS:
+        pair = [cells[block, robot, method].ends for method in (one, other)]
+        _, low, high = difference(*pair)
+        if low > 0:
+            ahead.append(robot)
+        elif high < 0:
+            behind.append(robot)
+    return ahead, behind
+
+
+def separated(cells: Cells) -> list[str]:
+    """Say where state-only DAC differs clearly from DAC and the recipe.
+
+    DAC sees the action as well, the recipe has AIRL's form as well.
+    """
+    sentences = []
+    for other, what in (("dac", "action"), ("airl", "form")):
+        name = f"**The {what}**, by {METHODS[other]} against state-only DAC"
+        parts = []
+        for block in COUNTS:
+            if _missing(cells, block, (other, "state-dac")):
+                continue
+            ahead, behind = clear(cells, block, other, "state-dac")
+            parts.append(
+                f"with {BLOCKS[block].lower()} clearly ahead on "
+                f"{_names(ahead)} and behind on {_names(behind)}"
+            )
+        known = "; ".join(parts) or "not known yet"
+        sentences.append(f"{name}: {known}.")
+    return sentences
+
+
+def noise(robots: Iterable[str] = ROBOTS) -> HTML:
+    """Return what the experts return, and what their demonstrations do."""
+    kept, rows = clones(), []
+    for robot in robots:
+        without, shown = expert(robot)
+        few = [kept.get(block, {}).get(robot) for block in ("4", "1")]
+        means = [shown, *(one and one["demonstrations"] for one in few)]
+        parts = [number(100 * x / without) if x else "–" for x in means]
+        rows.append((robot, f"{without:,.0f}", *parts))
+    heads = (
+        "expert",
+        "return<br>without noise",
+        "fifty, %",
+        "first four, %",
+        "first, %",
+    )
+    return table(heads, rows)
+
+
+def costs(cells: Cells) -> HTML:
+    """Return what the cells of each method have cost so far."""
+    rows = []
+    for method, name in METHODS.items():
+        own = [
+            cell
+            for (block, _, m), cell in cells.items()
+            if m == method and block in COUNTS
+        ]
+        minutes = [60 * cell.hours for cell in own]
+        if own:
+            spread = f"{min(minutes):.0f} to {max(minutes):.0f}"
+            row = (f"{own[0].steps:,}", spread, f"{sum(minutes) / 60:.1f}")
+        else:
+            row = ("–", "–", "–")
+        rows.append((name, str(len(own)), *row))
+    heads = (
+        "method",
+        "cells",
+        "steps of<br>a seed",
+        "minutes<br>of a cell",
+        "hours<br>of all",
+    )
+    return table(heads, rows)
+
+
+# What to use when. Each sentence is made of the cells.
+
+
+def advice(cells: Cells) -> list[str]:
+    """Return three sentences: many demonstrations, few, no actions."""
+    return [_many(cells), _few(cells), _no_actions(cells)]
+
+
+def _missing(cells: Cells, block: str, methods: Iterable[str]) -> str:
+    """Return what to say while cells of these methods are missing."""
+    keys = {(block, r, m) for m in methods for r in PLAN[block][m]}
+    there = len(keys & set(cells))
+    if there == len(keys):
+        return ""
+    return f"not known yet ({there} of {len(keys)} cells are there)."
+
+
+def _names(robots: Sequence[str]) -> str:
+    """Return robots as a list in words."""
+    if len(robots) < 2:
+        return robots[0] if robots else "no robot"
+    if len(robots) == len(ROBOTS):
+        return "all five robots"
+    return f"{', '.join(robots[:-1])} and {robots[-1]}"
+
+
+def _many(cells: Cells) -> str:
+    begin = "**Fifty recordings with their actions:"
+    if wait := _missing(cells, "50", ("clone", "airl", "dac")):
+        return f"{begin}** {wait}"
+    behind = {
+        robot
+        for other in ("airl", "dac")
+        for robot in clear(cells, "50", "clone", other)[1]
+    }
+    worse = _names([robot for robot in ROBOTS if robot in behind])
+    clone, airl, dac = (
+        average(cells, "50", method) for method in ("clone", "airl", "dac")
+    )
+    what = "clone them" if len(behind) < 2 else "cloning is not enough"
+    return (
+        f"{begin} {what}.** On average over the robots cloning comes to "
+        f"{clone:.0f} % without a step of the task, the recipe to "
+        f"{airl:.0f} % and DAC to {dac:.0f} %; cloning is clearly behind "
+        f"one of the two on {worse}."
+    )
+
+
+def _few(cells: Cells) -> str:
+    begin = "**Four recordings:"
+    methods = tuple(PLAN["4"])
+    if wait := _missing(cells, "4", methods):
+        return f"{begin}** {wait}"
+    averages = {method: average(cells, "4", method) for method in methods}
+    best, second, *_ = sorted(averages, key=averages.get, reverse=True)
+    other = second if best == "clone" else "clone"
+    ahead, behind = clear(cells, "4", best, other)
+    text = (
+        f"{begin} {METHODS[best]}.** On average over the robots it comes "
+        f"to {averages[best]:.0f} %, and {METHODS[second]}, the next, to "
+        f"{averages[second]:.0f} %"
+    )
+    if "clone" not in (best, second):
+        text += f"; cloning comes to {averages['clone']:.0f} %"
+    return (
+        f"{text}; it is clearly ahead of {METHODS[other]} on "
+        f"{_names(ahead)}, and clearly behind on {_names(behind)}."
+    )
+
+
+def _no_actions(cells: Cells) -> str:
+    begin = "**No actions, or a reward to use again:"
+    if wait := _missing(cells, "4", ("airl", "state-dac")):
+        return f"{begin}** {wait}"
+    recipe, states = (
+        average(cells, "4", method) for method in ("airl", "state-dac")
+    )
+    ahead, behind = clear(cells, "4", "airl", "state-dac")
+    what = "the recipe"
+    if len(behind) > len(ahead):
+        what = "state-only DAC for the first, the recipe for the second"
+    return (
+        f"{begin} {what}.** Neither method looks at demonstrated actions, "
+        "and only the recipe leaves a reward; with four recordings it "
+        f"comes to {recipe:.0f} % on average, and state-only DAC to "
+        f"{states:.0f} %; the recipe is clearly ahead on {_names(ahead)}, "
+        f"and clearly behind on {_names(behind)}."
+    )
+
+
+# Tables and a figure.
+
+
+def commands(block: str, method: str, robot: str = "Hopper") -> list[str]:
+    """Return what makes one cell of a row."""
+    count, _, kind = block.partition("-")
+    env_id, out = env_id_of(robot), f"clones/{robot.lower()}.safetensors"
+    clone = f"offairl clone {env_id} --trajectories {count} --experts best"
+    if method == "clone":
+        if kind == "thinned":  # The command line thins for runs only.
+            shown = f'"{env_id}", {count}, subsample=20, experts="best"'
+            return [
+                f"cloning.clone(demonstrations.load({shown}), range(10))"
+            ]
+        return [f"{clone} --seeds 0 1 2 3 4 5 6 7 8 9 --out {out}"]
+    more = {"thinned": " --subsample 20", "long": " --total-steps 500000"}
+    run = f"--only {robot}-{method} --trajectories {count}"
+    run += more.get(kind, "")
+    if method != "airl-warm":
+        return [f"offairl run benchmark {run}"]
+    config = experiments.configure(f"benchmark/{robot}-airl", "demo")
+    absorbs = config.schedule.absorbing != "none"
+    return [
+        f"{clone} --hidden 64 64{' --absorbing-state' * absorbs} "
+        f"--seeds 0 1 2 3 4 --out {out}",
+        f"offairl run benchmark-warm {run} --pretrained-policy {out}",
+    ]
+
+
+def number(value: float) -> str:
+    """Return a rounded number with a true minus sign."""
+    return f"{value:.0f}".replace("-0", "0").replace("-", "−")
+
+
+def text_of(ends: Ends | None) -> str:
+    """Return a cell of a table: the mean, its interval, the worst seed."""
+    if ends is None:
+        return "–"
+    mean, low, high, worst = map(number, summary(ends))
+    rest = _small(f"{low}&nbsp;to&nbsp;{high}<br>({worst})")
+    return f"<b>{mean}</b><br>{rest}"
+
+
+def _small(text: str) -> str:
+    return f'<span style="font-size: 0.85em">{text}</span>'
+
+
+def _code(line: str) -> str:
+    """Return a command that is broken between its words only."""
+    words = (
+        f'<span style="white-space: nowrap">{word}</span>'
+        for word in line.split(" ")
+    )
+    return f"<code>{' '.join(words)}</code>"
+
+
+def duration(hours: float) -> str:
+    """Return hours, or minutes if they are few, in words."""
+    if hours < 0.1:
+        return f"{60 * hours:.1f} minutes"
+    return f"{hours:.1f} hours"
+
+
+def _row(cells: Sequence[str], tag: str = "td") -> str:
+    """Return a row of a table whose columns are robots."""
+    width = f"width: {100 / len(cells):.0f}%"
+    side = f'<{tag} style="text-align: center; {width}">'
+    return f"<tr>{''.join(f'{side}{cell}</{tag}>' for cell in cells)}</tr>"
+
+
+def _title(text: str, columns: int, tag: str = "td") -> str:
+    """Return a row of one cell that stands above rows of numbers."""
+    style = "border-bottom: none; padding-bottom: 0"
+    cell = f'<{tag} colspan="{columns}" style="{style}">{text}</{tag}>'
+    return f"<tr>{cell}</tr>"
+
+
+def _heads(robots: Iterable[str]) -> list[str]:
+    """Return names that may be broken into two lines."""
+    pattern = r"(Walker|Half|Custom)"
+    return [re.sub(pattern, r"\1<wbr>", robot) for robot in robots]
+
+
+def block_table(cells: Cells, block: str) -> str:
+    """Return the table of one number of demonstrations, as HTML.
+
+    A method has two rows, so that five robots fit on a telephone: what it
+    costs, with the command, and its numbers.
+    """
+    robots = [
+        r for r in ROBOTS if any(r in x for x in PLAN[block].values())
+    ]
+    methods = [
+        method
+        for method in METHODS
+        if method in PLAN[block]
+        or any((block, robot, method) in cells for robot in robots)
+    ]
+    width = len(robots)
+    lines = [_title(BLOCKS[block], width, "th"), _row(_heads(robots), "th")]
+    for method in methods:
+        row = [cells.get((block, robot, method)) for robot in robots]
+        there = [cell for cell in row if cell]
+        cost = ""
+        if there:
+            hours = float(np.mean([cell.hours for cell in there]))
+            cost = f"{there[0].steps:,} steps, {duration(hours)}, "
+        how = "<br>".join(map(_code, commands(block, method)))
+        about = f"<b>{METHODS[method]}</b><br>{_small(cost + how)}"
+        texts = [text_of(cell.ends if cell else None) for cell in row]
+        lines += [_title(about, width), _row(texts)]
+    return f'<table class="table">{"".join(lines)}</table>'
+
+
+def show(cells: Cells, *blocks: str) -> HTML:
+    """Return the tables of some blocks."""
+    tables = "".join(block_table(cells, block) for block in blocks)
+    return HTML(tables)
+
+
+def show_theirs() -> HTML:
+    """Return the table of the published figures of `imitation`."""
+    title = "Percent of their experts"
+    lines = [
+        _title(title, len(THEIR_EXPERTS), "th"),
+        _row(_heads(THEIR_EXPERTS), "th"),
+    ]
+    for method, robots in THEIRS.items():
+        cells = [
+            text_of(100 * np.array(robots[robot]) / shown)
+            for robot, shown in THEIR_EXPERTS.items()
+        ]
+        lines += [_title(f"<b>{method}</b>", len(cells)), _row(cells)]
+    return HTML(f'<table class="table">{"".join(lines)}</table>')
+
+
+LOOKS = {
+    "clone": ("black", "o"),
+    "airl": (plots.BLUE, "s"),
+    "dac": (plots.ORANGE, "^"),
+    "state-dac": (plots.GREEN, "v"),
+    "sqil": (plots.RED, "D"),
+    "iq-learn": (plots.PURPLE, "P"),
+    "airl-warm": ("#56B4E9", "X"),
+}
+"""Colour and marker of each method."""
+
+
+def draw(cells: Cells) -> Figure:
+    """Draw percent against the number of demonstrations, by robot."""
+    fig, axes = plt.subplots(3, 2, figsize=(5.6, 7.4), sharey=True)
+    for ax, robot in zip(axes.flat, ROBOTS, strict=False):
+        _panel(ax, cells, robot)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("% of the expert")
+    for ax in (axes[1, 1], axes[2, 0]):
+        ax.set_xlabel("demonstrations")
+    axes[-1, -1].axis("off")
+    style = {"markersize": 6, "linewidth": 1.5}
+    marks = [
+        Line2D(
+            [], [], color=color, marker=marker, label=METHODS[m], **style
+        )
+        for m, (color, marker) in LOOKS.items()
+    ]
+    marks.append(
+        Line2D(
+            [], [], color=plots.GREY, ls=":", label="fifty demonstrations"
+        )
+    )
+    axes[-1, -1].legend(handles=marks, loc="center", fontsize="medium")
+    return fig
+
+
+def _panel(ax: Axes, cells: Cells, robot: str) -> None:
+    """Draw one robot: a mark and its interval for each method."""
+    without, shown = expert(robot)
+    ax.axhline(100, color=plots.GREY, linestyle="--", linewidth=1)
+    ax.axhline(
+        100 * shown / without, color=plots.GREY, linestyle=":", lw=1.3
+    )
+    for i, (method, (color, marker)) in enumerate(LOOKS.items()):
+        points = [
+            (at + 0.1 * (i - 3), *summary(cells[count, robot, method].ends))
+            for at, count in enumerate(COUNTS)
+            if (count, robot, method) in cells
+        ]
+        if not points:
+            continue
+        x, mean, low, high, _ = np.transpose(points)
+        bars = np.maximum([mean - low, high - mean], 0)
+        ax.plot(x, mean, color=color, linewidth=0.8, alpha=0.5)
+        ax.errorbar(
+            x, mean, bars, fmt=marker, color=color, markersize=5, lw=1.2
+        )
+    ax.set(xlim=(-0.5, 2.5), ylim=(-8, 128), title=robot)
+    ax.set_xticks(range(len(COUNTS)), COUNTS)
+    ax.grid(visible=False, axis="x")

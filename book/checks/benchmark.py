@@ -1,0 +1,231 @@
+"""What the note on the benchmark says, of whatever is recorded so far."""
+
+import csv
+
+import numpy as np
+
+import rollouts
+from benchmark_runs import (
+    BLOCKS,
+    METHODS,
+    PLAN,
+    ROBOTS,
+    THEIR_EXPERTS,
+    THEIRS,
+    expert,
+    summary,
+)
+from checks import recorded
+from offairl_lite.config import differences
+from offairl_lite.experiments import configure
+from offairl_lite.runs.records import RunSpec, read, run_folders
+from rollouts.benchmark import settings
+
+LONG = {"4-long": 500_000}
+
+
+def specs(runs):
+    """Yield the configuration of every part of every run, with its cell."""
+    for key, place in runs.items():
+        for part in run_folders(place):
+            yield key, RunSpec.read(part)
+
+
+@recorded
+def runs_are_of_the_experiment(runs):
+    """Every run has the configuration of its experiment, and only the
+    longer ones have more steps."""
+    for (block, robot, method), spec in specs(runs):
+        name = "benchmark-warm" if method == "airl-warm" else "benchmark"
+        assert (spec.experiment, spec.scale) == (name, "demo")
+        own = configure(f"{name}/{robot}-{method}", "demo")
+        changed = set(differences(own, spec.config))
+        assert changed == ({"total_steps"} if block in LONG else set())
+
+
+@recorded
+def runs_have_five_seeds_and_all_steps(runs):
+    """Every run has the seeds 0 to 4, and ends at its 100,000 or 500,000
+    steps with ten episodes of each seed."""
+    for (block, *_), place in runs.items():
+        run = read(place)
+        assert run.seeds == tuple(range(5))
+        assert run.config.total_steps == LONG.get(block, 100_000)
+        ended = [row for row in run.rows if row.step in run.steps[-1:]]
+        if len(run.diverged) < len(run.seeds):
+            assert run.steps[-1] == run.config.total_steps
+            assert len(ended) == len(run.seeds) - len(run.diverged)
+        assert all(len(row.returns) == 10 for row in ended)
+
+
+@recorded
+def runs_have_the_demonstrations_of_their_folder(runs):
+    """The number of demonstrations is what the folder says, they are those
+    of the strongest expert, and thinned by 20 where it says so."""
+    for (block, *_), spec in specs(runs):
+        shown = spec.demonstrations
+        assert shown["trajectories"] == int(block.split("-")[0])
+        assert shown["subsample"] == (20 if block == "4-thinned" else 1)
+        assert shown["experts"] == "best"
+        assert shown["dataset"] is None
+
+
+@recorded
+def methods_have_the_same_demonstrations(runs):
+    """In a cell all methods have the same demonstrations, bit for bit."""
+    digests = {}
+    for (block, robot, _), spec in specs(runs):
+        shown = block.removesuffix("-long"), robot
+        digests.setdefault(shown, set()).add(spec.demonstrations["digest"])
+    assert all(len(found) == 1 for found in digests.values())
+
+
+@recorded
+def only_the_warm_start_begins_with_a_policy(runs):
+    """Only the recipe from a clone begins with a policy."""
+    for (*_, method), spec in specs(runs):
+        given = {"pretrained_policy"} if method == "airl-warm" else set()
+        assert set(spec.inherited) == given
+
+
+@recorded
+def clones_are_of_the_defaults(cloned):
+    """Ten seeds are cloned in a cell, with the defaults of cloning."""
+    for name, value in settings().items():
+        kept = rollouts.read("benchmark")["settings"][name]
+        assert np.array_equal(kept, value)
+    for robots in cloned.values():
+        for cell in robots.values():
+            assert cell["returns"].shape == (10,)
+            assert cell["seconds"] > 0
+
+
+@recorded
+def clones_had_the_shipped_demonstrations(cloned):
+    """The fifty demonstrations that were cloned return what is shipped."""
+    for robot, cell in cloned["50"].items():
+        gap = cell["demonstrations"] / expert(robot)[1] - 1
+        assert abs(gap) < 1e-4
+
+
+@recorded
+def cells_are_what_the_curves_say(runs, cells):
+    """A cell is the mean of the middle three of five seeds at the last
+    step, in percent of the expert without noise, with the worst of them."""
+    for (block, robot, method), place in runs.items():
+        ends = []
+        for part in run_folders(place):
+            with (part / "curve.csv").open() as file:
+                rows = list(csv.DictReader(file))
+            last = str(LONG.get(block, 100_000))
+            ends += [
+                float(row["mean_return"])
+                for row in rows
+                if row["step"] == last
+            ]
+        ends = sorted([*ends, *[0.0] * (5 - len(ends))])
+        found = summary(cells[block, robot, method].ends)
+        unit = expert(robot)[0] / 100
+        assert np.isclose(found.mean, np.mean(ends[1:4]) / unit)
+        assert np.isclose(found.worst, ends[0] / unit)
+        assert found.low <= found.mean <= found.high
+
+
+@recorded
+def clones_cells_are_their_returns(cloned, cells):
+    """A cell of clones is the mean of the middle six of ten seeds."""
+    for block, robots in cloned.items():
+        for robot, cell in robots.items():
+            ends = np.sort(cell["returns"]) / expert(robot)[0] * 100
+            found = summary(cells[block, robot, "clone"].ends)
+            assert np.isclose(found.mean, ends[2:8].mean())
+            assert np.isclose(found.worst, ends[0])
+
+
+@recorded
+def what_is_filled_is_counted(runs, cloned, cells, FILLED):
+    """The plan has 92 cells, and as many are filled as runs and clones of
+    them have ended."""
+    wanted = {
+        (block, robot, method)
+        for block in BLOCKS
+        for method in PLAN[block]
+        for robot in PLAN[block][method]
+    }
+    assert len(wanted) == 92
+    of_clones = {
+        (b, r, "clone") for b, robots in cloned.items() for r in robots
+    }
+    assert set(cells) == set(runs) | of_clones
+    assert FILLED.startswith(f"{len(wanted & set(cells))} of 92 cells")
+
+
+@recorded
+def every_name_is_known(cells):
+    """Every recorded cell is of one of the blocks, robots and methods."""
+    for block, robot, method in cells:
+        assert block in BLOCKS
+        assert robot in ROBOTS
+        assert method in METHODS
+
+
+@recorded
+def advice_is_of_the_cells(cells, ADVICE):
+    """What to use when says the average over the robots of each method that
+    it compares, and nothing where a cell is missing."""
+    needs = (
+        ("50", ("clone", "airl", "dac")),
+        ("4", tuple(METHODS)),
+        ("4", ("airl", "state-dac")),
+    )
+    for sentence, (block, methods) in zip(ADVICE, needs, strict=True):
+        keys = [(block, r, m) for m in methods for r in ROBOTS]
+        if not all(key in cells for key in keys):
+            assert "not known yet" in sentence
+            continue
+        averages = {}
+        for method in methods:
+            ends = [
+                np.sort(cells[block, robot, method].ends)
+                for robot in ROBOTS
+            ]
+            means = [x[len(x) // 4 : -(len(x) // 4)].mean() for x in ends]
+            averages[method] = np.mean(means)
+        if len(methods) == len(METHODS):
+            best = max(averages, key=averages.get)
+            assert f"recordings: {METHODS[best]}.**" in sentence
+            assert f"it comes to {averages[best]:.0f} %" in sentence
+        else:
+            assert all(f"{x:.0f} %" in sentence for x in averages.values())
+
+
+@recorded
+def noise_costs_the_experts():
+    """With noise Hopper's and Ant's experts return less than three quarters
+    of what they do without, and the others 87 to 94 %."""
+    shares = {
+        robot: expert(robot)[1] / expert(robot)[0] for robot in ROBOTS
+    }
+    low = {robot for robot, share in shares.items() if share < 0.75}
+    assert low == {"Hopper", "Ant"}
+    others = [round(100 * shares[r]) for r in ROBOTS if r not in low]
+    assert (min(others), max(others)) == (87, 94)
+
+
+@recorded
+def their_airl_fails_where_others_do_not():
+    """In the published figures AIRL's best seed is at 5 % on Ant and at
+    39 % on Walker2d, where cloning and GAIL are at 62 % or more, and on
+    Hopper every seed of AIRL is ahead of cloning."""
+    share = {
+        (method, robot): 100 * np.array(returns) / THEIR_EXPERTS[robot]
+        for method, robots in THEIRS.items()
+        for robot, returns in robots.items()
+    }
+    assert round(share["their AIRL", "Ant"].max()) == 5
+    assert round(share["their AIRL", "Walker2d"].max()) == 39
+    for method in ("their cloning", "their GAIL"):
+        for robot in ("Ant", "Walker2d"):
+            assert share[method, robot].min() > 62
+    ahead = share["their AIRL", "Hopper"].min()
+    assert ahead > share["their cloning", "Hopper"].max()
