@@ -67,7 +67,7 @@ def mark(notebook: nbformat.NotebookNode, failure: str) -> None:
         short = f"{len(failed)} of {count} statements do not hold"
         long = (
             f"On this machine {len(failed)} of the {count} statements of "
-            "this page do not hold. Its last lines say which, and by how "
+            "this page did not hold. Its last lines say which, and by how "
             "much."
         )
     else:
