@@ -6,10 +6,17 @@ from typing import Protocol, runtime_checkable
 from torch import Tensor
 
 from offairl_lite.config import Config, SACConfig, TD3Config
+from offairl_lite.core.absorbing import is_absorbing
 from offairl_lite.core.experience import Experience
 from offairl_lite.core.iq_learn import IQLearn
-from offairl_lite.core.policies import Actor
+from offairl_lite.core.policies import (
+    Actor,
+    MultiplicativeGaussian,
+    Policy,
+    defensive_log_density,
+)
 from offairl_lite.core.ppo import PPO
+from offairl_lite.core.replay import Batch, LogDensity
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.shapes import Action, Layout, Metrics, Obs, Params, Vector
@@ -47,3 +54,33 @@ def make_learner(config: Config, layout: Layout) -> Learner:
     if isinstance(config.learner, TD3Config):
         return TD3(config.learner, layout)
     return PPO(config.learner, layout)
+
+
+def adopt(learner: Learner, policy: Policy, new_gate: bool) -> None:
+    """Put a policy's weights into the actor; with a `new_gate`, all but those of its gate."""
+    params, kept = learner.actor_params.detach(), policy.actor.num_params
+    if new_gate and isinstance(policy.actor, MultiplicativeGaussian):
+        kept -= policy.actor.gate.num_params  # They come last.
+    params[:, :kept] = policy.params[:, :kept]
+
+
+def log_density(config: Config, learner: Learner, steps: int) -> LogDensity:
+    """Return log π of scaled transitions, under the actor as it is now, after so many steps.
+
+    With `loss="mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
+    """
+    params, schedule = learner.actor_params.detach().clone(), config.schedule
+    if getattr(config.discriminator, "loss", None) != "mixture":
+        return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)
+    # Rows of absorbing states, which push the warm-up out earlier, are not counted.
+    forgotten = max(steps - schedule.replay_size, 0)
+    uniform_share = max(schedule.warmup_steps - forgotten, 0) / (steps - forgotten)
+
+    def mixed_log_density(batch: Batch) -> Vector:
+        log_prob = learner.log_prob(params, batch.obs, batch.pre_tanh)
+        mixed = defensive_log_density(log_prob, uniform_share, batch.pre_tanh.shape[-1])
+        if schedule.absorbing == "none":
+            return mixed
+        return mixed.where(~is_absorbing(batch.obs), log_prob)
+
+    return mixed_log_density

@@ -24,32 +24,26 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
 from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.learner import make_learner
+from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.policies import MultiplicativeGaussian, Policy, defensive_log_density
-from offairl_lite.core.replay import Batch, LogDensity, Replay
+from offairl_lite.core.policies import Policy
+from offairl_lite.core.replay import Batch, Replay
 from offairl_lite.core.requirements import episode_length, require_fit, require_inputs
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.scaling import scaling_of
-from offairl_lite.core.shapes import Layout, Metrics, Vector
+from offairl_lite.core.shapes import Layout, Metrics
 from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 
 
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
-    Args:
-        config: the run's configuration.
-        seeds: one for each member; the same seeds give the same run on the same machine.
-        demonstrations: of the expert, where a reward is learned.
-        frozen_reward: what the learner is paid, with `reward="frozen"`.
-        pretrained_policy: what the actor starts with, as `config.pretrained` says.
-        guide: acts at the starts of episodes, for up to `start_steps` steps.
-        execution: where and how it is computed.
-        replay_file: where transitions are kept, if not in memory alone.
-        memory: how many steps the replay can be rewound, to a checkpoint.
+    The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
+    goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
+    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if
+    not in memory alone, which can be rewound by `memory` steps, to a checkpoint.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -158,7 +152,8 @@ class Trainer:
             self.normaliser,
             self.rng,
             self.discriminator or self.frozen_reward,
-            self.log_density(),  # π as it acted, for both of them
+            # π as it acted, for both of them:
+            log_density(self.config, self.learner, self.steps),
         )
         for expert, policy, mixing in experience.discriminator_minibatches(steps):
             self.metrics |= self.update_discriminator(expert, policy, mixing)
@@ -177,11 +172,7 @@ class Trainer:
             part.copy_(fixed)
         self.learner.init(self.rng)
         if policy is not None:
-            params, kept = self.learner.actor_params.detach(), policy.actor.num_params
-            if isinstance(policy.actor, MultiplicativeGaussian):
-                # The weights of the gate, which come last, may stay as they were drawn.
-                kept -= policy.actor.gate.num_params * (self.config.pretrained == "primitives")
-            params[:, :kept] = policy.params[:, :kept]
+            adopt(self.learner, policy, self.config.pretrained == "primitives")
         if self.discriminator is not None:
             self.discriminator.init(self.rng)
         if self.config.learner.on_policy:
@@ -189,28 +180,6 @@ class Trainer:
             self.blocks_due.clear()
             self.block_start = self.steps
         self.started = True
-
-    def log_density(self) -> LogDensity:
-        """Return log π of scaled transitions, under the actor as it is now.
-
-        With `loss="mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
-        """
-        learner, params = self.learner, self.learner.actor_params.detach().clone()
-        discriminator, schedule = self.config.discriminator, self.schedule
-        if not isinstance(discriminator, DiscriminatorConfig) or discriminator.loss != "mixture":
-            return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)
-        # Rows of absorbing states, which push the warm-up out earlier, are not counted.
-        forgotten = max(self.steps - schedule.replay_size, 0)
-        uniform_share = max(schedule.warmup_steps - forgotten, 0) / (self.steps - forgotten)
-
-        def mixed_log_density(batch: Batch) -> Vector:
-            log_prob = learner.log_prob(params, batch.obs, batch.pre_tanh)
-            mixed = defensive_log_density(log_prob, uniform_share, self.dims[1])
-            if schedule.absorbing == "none":
-                return mixed
-            return mixed.where(~absorbing.is_absorbing(batch.obs), log_prob)
-
-        return mixed_log_density
 
     @torch.no_grad()
     def explore(self, obs: Float[Tensor, "S O"]) -> Float[Tensor, "S A"]:

@@ -16,6 +16,7 @@ from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, load_weights
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Layout
 from offairl_lite.experiments import EXPERIMENTS, configure
 from offairl_lite.runs import inputs, records
 from offairl_lite.runs.records import PACKAGES, PICTURE, RunSpec, read_json, run_folders
@@ -283,12 +284,14 @@ def test_the_script_of_the_long_warm_up_makes_no_updates_for_it(monkeypatch):
     task = {"env_id": "offairl/PointMazeLeft-v0", "reward": "environment", "absorbing": "none"}
     config = CORRECTED.change(**sizes, **task, eval_episodes=1)
     fitted = []
-    monkeypatch.setattr(Trainer, "fit", lambda trainer, steps: fitted.append(trainer.steps))
+    monkeypatch.setattr(
+        Trainer, "train_on_block", lambda trainer, steps: fitted.append(trainer.steps)
+    )
     for _ in Trainer(config, (0,)).run():
         pass
     assert fitted == [4, 4, 6, 8]
     fitted.clear()
-    monkeypatch.setattr(Trainer, "build", Trainer.build)
+    monkeypatch.setattr(Trainer, "start", Trainer.start)
     monkeypatch.setattr("offairl_lite.runs.cli.main", lambda: None)
     exec(script, {})
     for _ in Trainer(config, (0,)).run():
@@ -304,7 +307,7 @@ def test_the_consistent_logit_divides_f_by_the_temperature(monkeypatch):
     exec(script, {})
     spec = spec_of("decides-scaled-demo/Hopper-exact-fixed-short")
     assert spec.config.learner.temperature == 0.2
-    d = Discriminator(spec.config.discriminator, 3, 2, Rng((0,)), Normaliser.identity(1, 3))
+    d = Discriminator(spec.config.discriminator, Layout(1, 3, 2))
     f, log_prob = torch.tensor([[1.0, -2.0]]), torch.tensor([[0.5, 3.0]])
     assert torch.allclose(d.logit(f, log_prob), torch.tensor([[4.5, -13.0]]))
 

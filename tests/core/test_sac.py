@@ -9,6 +9,7 @@ from offairl_lite.ablations.released import ReleasedSACConfig
 from offairl_lite.config import CORRECTED, SACConfig, TD3Config
 from offairl_lite.core.absorbing import absorbing_state, is_absorbing, with_analytic_return
 from offairl_lite.core.acceleration import PIECE
+from offairl_lite.core.learner import log_density
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.policies import gaussian_log_density
 from offairl_lite.core.replay import Batch
@@ -183,7 +184,9 @@ def test_the_density_of_a_large_actor_is_taken_piece_by_piece(kind, monkeypatch)
         return whole(self, params, obs, pre_tanh)
 
     monkeypatch.setattr(actor, "log_prob", recorded)
-    torch.testing.assert_close(trainer.log_density()(many), expected)
+    torch.testing.assert_close(
+        log_density(trainer.config, trainer.learner, trainer.steps)(many), expected
+    )
     assert shapes == [(1, PIECE), (1, PIECE), (1, 200 * B - 2 * PIECE)] * 2  # two members
 
 
@@ -494,12 +497,14 @@ def test_log_prob_may_be_taken_under_other_weights_and_as_released():
 
 def test_the_density_that_the_discriminator_sees_stays_while_the_actor_learns():
     trainer, (batch, reward, noise) = make_trainer(), data()
-    density = trainer.log_density()
+    density = log_density(trainer.config, trainer.learner, trainer.steps)
     before = density(batch)
     assert torch.equal(before, log_prob(trainer.learner, batch))
     trainer.learner.update(batch._replace(reward=reward), noise, True)
     assert torch.equal(density(batch), before)
-    assert not torch.equal(trainer.log_density()(batch), before)
+    assert not torch.equal(
+        log_density(trainer.config, trainer.learner, trainer.steps)(batch), before
+    )
 
 
 # The population axis.

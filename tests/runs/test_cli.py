@@ -818,7 +818,7 @@ def test_a_record_is_verified(capsys, elsewhere, monkeypatch):
     curve.write_text("\n".join([rows[0], ",".join(fields), *rows[2:]]) + "\n")
     spec = RunSpec.read("one")
     replace(spec, execution={**spec.execution, "compile": True}).write(Path("one"))
-    monkeypatch.setattr(Execution, "accelerate", lambda self, step: step)
+    monkeypatch.setattr(Execution, "accelerate", lambda self, step, hidden: step)
     others = {"processor": "an abacus", "vectors": "ten"}
     write_json(origin, {**read_json(origin), "curve.csv": None, **others})
     message = failure("verify one", capsys)
