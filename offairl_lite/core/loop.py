@@ -96,14 +96,7 @@ class Trainer:
                 config.discriminator.reward_hidden + config.discriminator.shaping_hidden,
             )
         self.members = Members(self.seeds, self.weights())
-        replay = Replay(
-            population,
-            self.schedule.replay_size,
-            *self.dims,
-            self.device,
-            file=replay_file,
-            slots=replay_slots(self.schedule, memory),
-        )
+        replay = make_replay(self.schedule, layout, replay_file, memory)
         self.collector = Collector(
             config, env, replay, self.rng, self.members, guide and guide.to(self.device)
         )
@@ -163,11 +156,8 @@ class Trainer:
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
-        policy = self.pretrained_policy
-        if policy is None:
-            scaling = scaling_of(self.config, self.collector.replay, self.demonstrations)
-        else:
-            scaling = policy.normaliser
+        policy, replay = self.pretrained_policy, self.collector.replay
+        scaling = scaling_of(self.config, replay, self.demonstrations, policy)
         for part, fixed in zip(self.normaliser, scaling, strict=True):
             part.copy_(fixed)
         self.learner.init(self.rng)
@@ -214,10 +204,8 @@ class Trainer:
         """Return whether a block of steps is over; `ended`: whose episodes just ended."""
         horizon = 1 if self.discriminator is None else self.discriminator.horizon
         if horizon > 1 and (ended != (self.steps % horizon == 0)).any():
-            raise ValueError(
-                f"gan-gcl compares whole episodes of one length, {horizon} as demonstrated, "
-                f"and {self.config.env_id} has ended one elsewhere: choose another reward"
-            )
+            why = f"{horizon} as demonstrated, and {self.config.env_id} has ended one elsewhere"
+            raise ValueError(f"gan-gcl compares whole episodes of one length, {why}")
         if self.schedule.update_every is not None:
             return self.steps - self.block_start == self.schedule.update_every
         if ended.any() and not ended.all():
@@ -299,6 +287,15 @@ class Trainer:
     def close(self) -> None:
         """Close the environments; the trainer cannot be used afterwards."""
         self.collector.env.close()
+
+
+def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
+    """Return an empty replay that can be rewound by `memory` steps."""
+    slots = replay_slots(schedule, memory)
+    dims = layout.obs_dim, layout.action_dim
+    return Replay(
+        layout.members, schedule.replay_size, *dims, layout.device, file=file, slots=slots
+    )
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:

@@ -9,14 +9,20 @@ from torch import Tensor
 from offairl_lite.config import Config
 from offairl_lite.core import absorbing
 from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, Replay
 
 
-def scaling_of(config: Config, replay: Replay, demonstrations: Batch | None) -> Normaliser:
+def scaling_of(
+    config: Config, replay: Replay, demonstrations: Batch | None, pretrained: Policy | None
+) -> Normaliser:
     """Return the scaling by what each member has seen and, half and half, what it was shown.
 
-    The absorbing state, which is no place on the map, is left out.
+    The absorbing state, which is no place on the map, is left out. A pretrained policy keeps its
+    own scaling.
     """
+    if pretrained is not None:
+        return pretrained.normaliser
     population = len(replay.added)
     if not config.schedule.normalise:
         return Normaliser.identity(population, replay.obs_dim, replay.device)

@@ -673,7 +673,7 @@ def test_a_checkpoint_of_another_run_is_refused(interrupted, folder, plain, tmp_
         ({"execution__threads": 2}, "threads was 1, is 2"),
         ({"checkpoint_every": 70}, "checkpoint_every was 40, is 70"),
         ({"seeds": [3, 8]}, r"seeds was \[3, 7\], is \[3, 8\]"),
-        ({"format": 1}, "config.json has format 1, .* reads format 4: use the version"),
+        ({"format": 1}, "config.json has format 1, .* reads format 3: use the version"),
     ],
 )
 def test_a_changed_configuration_is_refused(interrupted, folder, change, message):
