@@ -132,7 +132,7 @@ def expert(robot: str) -> tuple[float, float]:
     """
     noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
     best = int(np.argmax(noted["returns"]))
-    return noted["returns"][best], noted["demonstrated"][best]
+    return noted["returns"][best], noted["mean_returns"][best]
 
 
 def folders() -> dict[tuple[str, str, str], Path]:
