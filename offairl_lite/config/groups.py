@@ -199,12 +199,12 @@ class DiscriminatorConfig(Checked):
 
 @dataclass(frozen=True)
 class Frozen:
-    """In the place of a discriminator: a reward that was learned before."""
+    """Instead of a discriminator: a reward that was learned before."""
 
 
 @dataclass(frozen=True)
 class Labels(Checked):
-    """In the place of a discriminator: minibatches half of demonstrations, half of replay.
+    """Instead of a discriminator: minibatches half of demonstrations, half of replay.
 
     No reward is learned that could be used again.
     """

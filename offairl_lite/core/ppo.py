@@ -119,11 +119,8 @@ class PPO:
         self, experience: Experience, steps: int, done: int
     ) -> Iterator[tuple[Rollout, Action]]:
         """Yield the arguments of the updates on the last block of steps: `EPOCHS` times all."""
-        rollout, rng, size = (
-            self.rollout(experience.last(steps)),
-            experience.rng,
-            experience.batch_size,
-        )
+        rollout = self.rollout(experience.last(steps))
+        rng, size = experience.rng, experience.batch_size
         for _ in range(EPOCHS):
             order = rng.uniform(steps).argsort(1).split(size, 1)
             noise = rng.normal(steps, self.actor.action_dim).split(size, 1)
