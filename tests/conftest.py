@@ -89,7 +89,7 @@ def tiny():
     """A run on the maze that takes a second."""
     return CORRECTED.change(
         total_steps=200,
-        warmup_steps=100,
+        learning_starts=100,
         batch_size=8,
         hidden=(16, 16),
         reward_hidden=(8, 8),

@@ -17,21 +17,17 @@ OBS, ACT, B, HORIZON = 3, 2, 4, 2
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
 CONFIGS = {
     "r(s)": CORRECTED.change(**SMALL),
-    "r(s, a)": CORRECTED.change(reward="implementation-3", **SMALL),
+    "r(s, a)": CORRECTED.change(reward="r-sa", **SMALL),
     "dac": CORRECTED.change(reward="dac", **SMALL),
     "released r(s)": RELEASE.change(**SMALL),
-    "released r(s, a)": RELEASE.change(reward="implementation-3", **SMALL),
+    "released r(s, a)": RELEASE.change(reward="r-sa", **SMALL),
     "dac on probability": CORRECTED.change(
         reward="dac", ablation="penalty-on-probability", **SMALL
     ),
     "r(s) of one number": CORRECTED.change(reward_sees=(1,), **SMALL),
-    "r(s, a) of two numbers": CORRECTED.change(
-        reward="implementation-3", reward_sees=(0, 2), **SMALL
-    ),
+    "r(s, a) of two numbers": CORRECTED.change(reward="r-sa", reward_sees=(0, 2), **SMALL),
     "one-sided r(s)": CORRECTED.change(ablation="one-sided", **SMALL),
-    "spectral r(s, a)": CORRECTED.change(
-        reward="implementation-3", ablation="spectral-norm", **SMALL
-    ),
+    "spectral r(s, a)": CORRECTED.change(reward="r-sa", ablation="spectral-norm", **SMALL),
     "bottleneck r(s)": CORRECTED.change(
         ablation="bottleneck", bottleneck=0.5, bottleneck_size=3, **SMALL
     ),
@@ -39,7 +35,7 @@ CONFIGS = {
         reward="dac", ablation="bottleneck", bottleneck=0.5, **SMALL
     ),
     "state pairs": CORRECTED.change(reward="dac", ablation="state-pairs", **SMALL),
-    "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", update_every=HORIZON, **SMALL),
+    "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", train_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]
 

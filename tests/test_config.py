@@ -24,20 +24,20 @@ from offairl_lite.config import (
     flat_settings,
     groups,
 )
-from offairl_lite.config.settings import wanted
+from offairl_lite.config.settings import SYNONYMS, wanted
 
-PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
+PPO = {"learner": "ppo", "train_every": 100, "temperature": 0.2}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"reward": "airl"}, "reward is 'airl'; expected one of .*implementation-4"),
+        ({"reward": "airl"}, "reward is 'airl'; expected one of .*'logit-sa'.*'r-s'"),
         ({"learner": "trpo"}, "learner is 'trpo'; expected one of .*'sac'"),
         ({"ablation": "both"}, "ablation is 'both'; expected one of .*'one-sided'.*or None"),
         ({"absorbing": "yes"}, "absorbing is 'yes'.*bootstrap"),
         ({"loss": "f"}, "loss is 'f'; expected one of"),
-        ({"log_prob_in_reward": False}, "'implementation-4' has no log π to leave out"),
+        ({"log_prob_in_reward": False}, "'r-s' has no log π to leave out"),
         ({"reward_sees": ()}, r"reward_sees is \(\); expected a tuple, .*none twice"),
         ({"reward_sees": (0, 0)}, r"reward_sees is \(0, 0\); expected a tuple, .*none twice"),
         ({"reward_sees": (-1, 2)}, r"reward_sees is \(-1, 2\); expected a tuple"),
@@ -50,27 +50,27 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         ({"discount": 1.1}, r"discount is 1.1; expected a number in \[0, 1\]"),
         ({"discriminator_discount": -0.1}, "discriminator_discount is -0.1"),
         ({"target_rate": 2.0}, "target_rate is 2.0"),
-        ({"warmup_hold": 0.5}, "warmup_hold is 0.5"),
-        ({"update_every": 0}, "update_every is 0; expected a whole number of at least 1, or None"),
+        ({"random_hold": 0.5}, "random_hold is 0.5"),
+        ({"train_every": 0}, "train_every is 0; expected a whole number of at least 1, or None"),
         ({"temperature": 0.0}, "temperature is 0.0; expected a number above 0, or None"),
-        ({"total_steps": 100, "warmup_steps": 101}, "warmup_steps is 101, total_steps 100"),
+        ({"total_steps": 100, "learning_starts": 101}, "learning_starts is 101, total_steps 100"),
         (
-            {"update_every": 300, "total_steps": 200, "warmup_steps": 100},
-            "update_every is 300, tot",
+            {"train_every": 300, "total_steps": 200, "learning_starts": 100},
+            "train_every is 300, tot",
         ),
-        (PPO | {"total_steps": 200, "warmup_steps": 150}, "update_every is 100, total_steps 200"),
+        (PPO | {"total_steps": 200, "learning_starts": 150}, "train_every is 100, total_steps 200"),
         ({"gradient_penalty": -1.0}, "gradient_penalty is -1.0; expected a number of at least 0"),
         ({"hidden": (8, 0)}, r"hidden is \(8, 0\); expected a tuple"),
         ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\); .* in ascending"),
         ({"learner": "td3"}, "needs log π"),
         ({"reward": "gan-gcl"}, "use learner='ppo'"),
-        ({"learner": "ppo"}, "update_every is None; learner ppo learns from the last"),
-        (PPO | {"replay_size": 99}, r"update_every is 100; .* to replay_size \(99\) at most"),
+        ({"learner": "ppo"}, "train_every is None; learner ppo learns from the last"),
+        (PPO | {"replay_size": 99}, r"train_every is 100; .* to replay_size \(99\) at most"),
         (PPO | {"temperature": None}, "temperature is None; expected a number above 0"),
         (PPO | {"absorbing": "bootstrap"}, "absorbing='bootstrap' is not for ppo"),
         (PPO | {"pretrained": "primitives"}, "pretrained is 'primitives'"),
         (PPO | {"centre_reward": True}, "centre_reward has no use with learner='ppo'"),
-        (PPO | {"start_steps": 5}, "start_steps is 5, and ppo"),
+        (PPO | {"guide_steps": 5}, "guide_steps is 5, and ppo"),
         ({"discriminator_updates": 0}, "discriminator_updates is 0"),
         ({"primitives": 0}, "primitives is 0"),
         (
@@ -79,9 +79,15 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         ),
         ({"pretrained": "primitives"}, "pretrained='primitives', and there are none"),
         ({"pretrained": "policy", "learner": "td3", "reward": "dac"}, "pretrained has no use"),
-        ({"start_steps": -1}, "start_steps is -1"),
-        ({"start_steps": 100, "warmup_steps": 100}, "start_steps is 100; expected .* the 100 warm"),
-        ({"start_steps": 5, "loss": "mixture"}, "loss='mixture' counts the steps of a guide"),
+        ({"guide_steps": -1}, "guide_steps is -1"),
+        (
+            {"guide_steps": 100, "learning_starts": 100},
+            "guide_steps is 100; expected less than learning_starts, 100",
+        ),
+        (
+            {"guide_steps": 5, "loss": "airl-mixture"},
+            "loss='airl-mixture' counts the steps of a",
+        ),
         ({"fixed_primitives": True}, "there are none: set primitives"),
         ({"absorbing": "bootstrap", "reward": "environment"}, "absorbing='bootstrap'"),
         ({"absorbing": "analytic", "discount": 1}, "discount below 1"),
@@ -94,7 +100,7 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         (PPO | {"reward": "iq-learn"}, "reward 'iq-learn' is for SAC's critics: use .*'sac'"),
         ({"reward": "sqil", "absorbing": "analytic"}, "'sqil' gives .*: set absorbing='bootstrap'"),
         ({"reward": "sqil", "gradient_penalty": 1.0}, "gradient_penalty has no use .*'sqil'"),
-        ({"reward": "iq-learn", "loss": "released"}, "loss has no use with .*'iq-learn'"),
+        ({"reward": "iq-learn", "loss": "log-ratio"}, "loss has no use with .*'iq-learn'"),
         ({"reward": "iq-learn", "ablation": "one-sided"}, "ablation has no use with .*'iq-learn'"),
         ({"reward": "iq-learn", "reward_scale": 2.0}, "reward_scale is 2.0 and .* pays no reward"),
         ({"reward": "iq-learn", "centre_reward": True}, "centre_reward True, and iq-learn pays no"),
@@ -160,10 +166,26 @@ def test_td3_serves_the_rewards_without_log_prob(reward):
     assert CORRECTED.change(learner="td3", reward=reward).learner == TD3Config()
 
 
+def test_earlier_names_and_the_paper_s_are_understood():
+    now = Config.of(learning_starts=50, random_hold=3.0, train_every=20, guide_steps=0)
+    old = {"warmup_steps": 50, "warmup_hold": 3.0, "update_every": 20, "start_steps": 0}
+    assert Config.of(**old) == CORRECTED.change(**old) == now
+    assert set(now.flat()).isdisjoint(old)
+    assert [getattr(now.schedule, name) for name in old] == [*old.values()]
+    for loss, meant in SYNONYMS["loss"].items():
+        assert Config.of(loss=loss) == Config.of(loss=meant)
+    for reward, meant in SYNONYMS["reward"].items():
+        assert Config.of(reward=reward).reward == meant
+    with pytest.raises(ValueError, match="learning_starts is -1; expected a whole number"):
+        Config.of(warmup_steps=-1)
+    with pytest.raises(AttributeError, match=r"Schedule has no warmup$"):
+        _ = now.schedule.warmup
+
+
 @pytest.mark.parametrize(
     ("reward", "discriminator"),
     [
-        ("implementation-1", DiscriminatorConfig("implementation-1")),
+        ("logit-sa", DiscriminatorConfig("logit-sa")),
         ("dac", DiscriminatorConfig("dac")),
         ("gail-survival", DiscriminatorConfig("gail-survival")),
         ("environment", None),
@@ -229,7 +251,7 @@ def test_differences_are_the_settings_that_differ_with_both_values():
         "discount": (0.99, 0.5),
     }
     frozen = differences(CORRECTED, CORRECTED.change(reward="frozen"))
-    assert frozen["reward"] == ("implementation-4", "frozen")
+    assert frozen["reward"] == ("r-s", "frozen")
     assert frozen["gradient_penalty"] == (10.0, None)
 
 
@@ -246,7 +268,7 @@ def test_presets_are_those_of_the_paper_and_its_code():
         "log_std_range": (-20.0, 2.0),
         "log_density": "released",
         "composition": "released",
-        "loss": "released",
+        "loss": "log-ratio",
         "discriminator_discount": 0.9,
         "reward_hidden": (256, 256),
         "discriminator_activation": "relu",

@@ -8,6 +8,7 @@ import pytest
 from offairl_lite import envs
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.config import CORRECTED, PAPER, differences
+from offairl_lite.config.settings import SYNONYMS
 from offairl_lite.experiments import EXPERIMENTS, configure, find
 
 SCALES = ("demo", "full")
@@ -72,16 +73,16 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
         for scale, config in experiment.configs.items():
             assert (config.learner.kind, config.schedule.replay_size) == (
                 "ppo",
-                config.schedule.update_every,
+                config.schedule.train_every,
             )
             for changes in experiment.variants.values():
                 assert set(differences(config, config.change(**changes))) <= {"reward"}
                 rewards.add(config.change(**changes).reward)
             if scale == "demo":
-                assert config.total_steps % config.schedule.update_every == 0
+                assert config.total_steps % config.schedule.train_every == 0
     assert rewards == {
         *("gail-survival", "gail-termination", "dac", "gan-gcl"),
-        *("implementation-1", "implementation-2"),
+        *("logit-sa", "logit-s"),
     }
 
 
@@ -106,9 +107,9 @@ DAC_ALONE = {"dac": {"reward": "dac"}, "dac-td3": {"reward": "dac", "learner": "
             1_000,
             0.2,
             {
-                "airl": {"loss": "released"},
-                "mcp-4": {"loss": "released", "primitives": 4},
-                "mcp-8": {"loss": "released", "primitives": 8},
+                "airl": {"loss": "log-ratio"},
+                "mcp-4": {"loss": "log-ratio", "primitives": 4},
+                "mcp-8": {"loss": "log-ratio", "primitives": 8},
                 **DAC_ALONE,
             },
         ),
@@ -118,8 +119,8 @@ DAC_ALONE = {"dac": {"reward": "dac"}, "dac-td3": {"reward": "dac", "learner": "
             None,
             {
                 "airl": {},
-                "airl-mixture": {"loss": "mixture"},
-                "airl-soft": {"loss": "mixture", "temperature": 1.0},
+                "airl-mixture": {"loss": "airl-mixture"},
+                "airl-soft": {"loss": "airl-mixture", "temperature": 1.0},
                 "mcp-4": {"primitives": 4},
                 "mcp-8": {"primitives": 8},
                 **DAC_ALONE,
@@ -142,14 +143,14 @@ def test_locomotion_sets_imitators_side_by_side_with_nothing_else_between_them(
             tasks.add(run.env_id)
         assert len(tasks) == 5
         assert len(experiment.variants) == len(tasks) * len(between)
-        assert config.discriminator.loss == "exact"
+        assert config.discriminator.loss == "airl"
         assert config.learner.temperature == temperature
-        assert (config.schedule.warmup_steps, config.schedule.update_every) == (warmup, 1_000)
+        assert (config.schedule.learning_starts, config.schedule.train_every) == (warmup, 1_000)
 
 
 def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
     experiment = find("what-decides")
-    varied = {"loss", "reward", "temperature", "warmup_steps"}
+    varied = {"loss", "reward", "temperature", "learning_starts"}
     assert len(experiment.variants) == 4 * 4 * 3 * 2
     for config in experiment.configs.values():
         for name, changes in experiment.variants.items():
@@ -159,9 +160,9 @@ def test_what_decides_varies_loss_temperature_and_warm_up_and_nothing_else():
             assert set(differences(run, recipe)) <= varied
             alpha = {"fixed": 0.2, "learned": None, "one": 1.0}[temperature]
             assert run.learner.temperature == alpha
-            assert run.schedule.warmup_steps == {"short": 1_000, "long": 10_000}[warmup]
+            assert run.schedule.learning_starts == {"short": 1_000, "long": 10_000}[warmup]
             assert (run.reward == "dac") == (loss == "dac")
-            assert run.discriminator.loss == ("exact" if loss == "dac" else loss)
+            assert run.discriminator.loss == SYNONYMS["loss"].get(loss, "airl")
 
 
 def test_the_recipe_is_what_decided():
@@ -185,10 +186,10 @@ def test_what_is_kept_of_a_policy_has_one_episode_of_random_actions_unless_helpe
             assert (run.pretrained == "nothing") == variant.startswith("scratch")
             assert (run.learner.primitives is None) == variant.startswith(("scratch", "policy"))
             assert run.learner.fixed_primitives == ("-gate" in variant)
-            assert (run.schedule.start_steps > 0) == variant.endswith("-starts")
-            warmup = run.schedule.warmup_steps, run.schedule.warmup_hold
+            assert (run.schedule.guide_steps > 0) == variant.endswith("-starts")
+            warmup = run.schedule.learning_starts, run.schedule.random_hold
             if run.pretrained == "nothing" or variant.endswith("-helped"):
-                assert warmup == (config.schedule.warmup_steps, config.schedule.warmup_hold)
+                assert warmup == (config.schedule.learning_starts, config.schedule.random_hold)
             else:
                 assert warmup == (steps, 1), scale
 
@@ -246,13 +247,13 @@ def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else()
 
 def test_what_the_maze_adds_to_the_corrected_preset():
     added = differences(CORRECTED, find("maze-imitation").configs["full"])
-    assert set(added) == {"temperature", "target_entropy", "warmup_hold"}
+    assert set(added) == {"temperature", "target_entropy", "random_hold"}
 
 
 @pytest.mark.parametrize("preset", [PAPER, RELEASE])
 def test_what_the_maze_needs_is_off_in_the_presets_of_paper_and_release(preset):
     assert not preset.schedule.normalise
-    assert preset.schedule.warmup_hold == 1
+    assert preset.schedule.random_hold == 1
     assert preset.learner.target_entropy is None
 
 
@@ -286,7 +287,7 @@ def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
         assert true.reward == "environment"
         assert true.learner.reward_scale == expert.learner.reward_scale
         assert (true.pretrained == "policy") == begin.startswith("policy")
-        assert (true.schedule.warmup_hold > 1) != begin.endswith("alone")
+        assert (true.schedule.random_hold > 1) != begin.endswith("alone")
 
 
 def test_the_marsh_is_learned_from_one_start_and_tried_from_another():
@@ -311,7 +312,7 @@ def test_hopper_runs_differ_in_their_reward_and_in_what_follows_a_fall_and_in_no
         runs = [config.change(**changes) for changes in experiment.variants.values()]
         assert {(run.reward, run.schedule.absorbing) for run in runs} == {
             (reward, absorbing)
-            for reward in ("dac", "implementation-4")
+            for reward in ("dac", "r-s")
             for absorbing in ("none", "bootstrap", "analytic")
         }
         assert all(set(differences(config, run)) <= {"reward", "absorbing"} for run in runs)
@@ -364,8 +365,8 @@ def test_the_benchmark_compares_methods_with_nothing_else_between_them():
         warm = configure(f"benchmark-warm/{robot}-airl-warm", "demo")
         assert differences(recipe, warm) == {"pretrained": ("nothing", "policy")}
         assert differences(recipe, dac) == {
-            "reward": ("implementation-4", "dac"),
-            "loss": ("released", "exact"),
+            "reward": ("r-s", "dac"),
+            "loss": ("log-ratio", "airl"),
         }
         assert recipe.schedule.absorbing == (
             "none" if robot in ("HalfCheetah", "CustomAnt") else "bootstrap"

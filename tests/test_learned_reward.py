@@ -56,8 +56,8 @@ def test_the_reward_is_what_retraining_maximises(
     """The same transitions, with the trainer's own targets where an episode terminates."""
     own(ARM)
     reward = reward_of(env_id, state_only, absorbing != "none")
-    common = {"env_id": env_id, "reward": "frozen", "absorbing": absorbing, "update_every": 10}
-    config = tiny.change(**common, discount=0.9, normalise=False, warmup_steps=150)
+    common = {"env_id": env_id, "reward": "frozen", "absorbing": absorbing, "train_every": 10}
+    config = tiny.change(**common, discount=0.9, normalise=False, learning_starts=150)
     with closing(Trainer(config, (3,), frozen_reward=reward)) as trainer:
         for _ in range(150):
             trainer.collector.step(explore=None)

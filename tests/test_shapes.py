@@ -4,17 +4,17 @@ import subprocess
 import sys
 
 MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
-HOPPER = {"env_id": "Hopper-v5", "update_every": 20}
+HOPPER = {"env_id": "Hopper-v5", "train_every": 20}
 CONFIGS = [
-    {"reward": "implementation-1", "loss": "mixture"},
-    {"reward": "implementation-3", "reward_sees": (0, 2), **MCP},
+    {"reward": "logit-sa", "loss": "airl-mixture"},
+    {"reward": "r-sa", "reward_sees": (0, 2), **MCP},
     {"reward": "environment", "temperature": None, "normalise": False},
-    {"reward": "gail-survival", "learner": "ppo", "update_every": 30, "replay_size": 60},
-    {"reward": "gan-gcl", "learner": "ppo", "update_every": 100, "replay_size": 100},
+    {"reward": "gail-survival", "learner": "ppo", "train_every": 30, "replay_size": 60},
+    {"reward": "gan-gcl", "learner": "ppo", "train_every": 100, "replay_size": 100},
     {"reward": "iq-learn"},
     {"ablation": "spectral-norm"},
     {"ablation": "bottleneck"},
-    {**HOPPER, "absorbing": "analytic", "reward": "implementation-2", "centre_reward": True},
+    {**HOPPER, "absorbing": "analytic", "reward": "logit-s", "centre_reward": True},
     {**HOPPER, "absorbing": "bootstrap", "learner": "td3", "reward": "dac"},
     {**HOPPER, "absorbing": "bootstrap", "reward": "sqil"},
     {**HOPPER, "reward": "dac", "ablation": "state-pairs"},
@@ -32,7 +32,7 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.demonstrations import Demonstrations
 
-TINY = {"total_steps": 200, "warmup_steps": 100, "batch_size": 5, "eval_every": 200,
+TINY = {"total_steps": 200, "learning_starts": 100, "batch_size": 5, "eval_every": 200,
         "eval_episodes": 1, "hidden": (8, 6)}
 for changes in eval(sys.argv[1]):
     config = CORRECTED.change(**(TINY | changes))

@@ -161,7 +161,7 @@ def small_networks(ON_ROBOTS):
         assert 3 <= len(run.seeds) <= 5
         if run.config.imitates:
             old = run.config.schedule.warmup_steps == 10_000
-            assert old == (run.config.discriminator.loss != "released")
+            assert old == (run.config.discriminator.loss != "log-ratio")
 
 
 @recorded

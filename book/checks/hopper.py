@@ -147,10 +147,10 @@ def analytic_returns_most(end):
 def runs_are_what_the_table_says(long, control):
     """Rewards and temperatures of the long runs are as the table has
     them."""
-    kinds = {"DAC": "dac", LOGIT: "implementation-1"}
+    kinds = {"DAC": "dac", LOGIT: "logit-sa"}
     for name, run in (long | control).items():
         kind, _, alpha = name.partition(", α = ")
-        assert run.config.reward == kinds.get(kind, "implementation-4")
+        assert run.config.reward == kinds.get(kind, "r-s")
         temperature = run.config.learner.temperature
         assert temperature == (float(alpha) if alpha else None)
         assert run.steps[-1] == 200_000

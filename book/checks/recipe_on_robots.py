@@ -195,7 +195,7 @@ def strong_runs_have_the_strong_data(HOME, METHODS):
 def only_the_reward_differs(variants):
     """Five seeds of each Implementation have 100,000 steps."""
     for n, run in variants.items():
-        assert run.config.discriminator.reward == f"implementation-{n}"
+        assert run.config.reward == ("logit-sa", "logit-s")[n - 1]
         assert len(run.seeds) == 5
         assert run.steps[-1] == 100_000
 

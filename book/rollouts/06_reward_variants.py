@@ -55,7 +55,7 @@ def _watched(reward, expert):
     places = np.stack([x, y, 0 * x], -1).reshape(1, -1, 3)
     places = torch.tensor(places, dtype=torch.float32)
     config = demo.change(
-        reward=reward, total_steps=STEPS, warmup_steps=WARMUP
+        reward=reward, total_steps=STEPS, learning_starts=WARMUP
     )
     story = []
     with closing(Trainer(config, [SEED], expert)) as trainer:

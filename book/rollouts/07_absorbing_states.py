@@ -26,7 +26,7 @@ def record():
     config = recipe.change(
         env_id=TASK,
         absorbing="bootstrap",
-        update_every=1_000,
+        train_every=1_000,
         total_steps=8_000,
         eval_every=1_000,
         eval_episodes=3,

@@ -70,7 +70,7 @@ def warm_up(
     config: Config, motors: int, steps: int = 1_000
 ) -> Iterator[Tensor]:
     """Return observations and random actions, as a training begins."""
-    rng, each, rows = Rng([0]), 1 / config.schedule.warmup_hold, []
+    rng, each, rows = Rng([0]), 1 / config.schedule.random_hold, []
     with closing(envs.make(config.env_id, 1, 0)) as env:
         obs, _ = env.reset()
         for _ in range(steps):
@@ -104,7 +104,7 @@ def mixture(
     run = records.read(
         RECORDS / "locomotion-first-short-demo/HalfCheetah-airl-mixture"
     )
-    w = run.config.schedule.warmup_steps / run.config.total_steps
+    w = run.config.schedule.learning_starts / run.config.total_steps
     floor = math.log(w) - 6 * math.log(2)
     exact = log_prob_of(run.policy, obs, action)
     defended = defensive_log_density(exact, w, action_dim=6)

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 from offairl_lite.config.groups import (
     DiscriminatorConfig,
     Frozen,
+    Implementation,
     LabelReward,
     Labels,
     LearnedReward,
@@ -24,7 +25,7 @@ from offairl_lite.config.groups import (
     Schedule,
     TD3Config,
 )
-from offairl_lite.config.settings import Checked, checked, kinds
+from offairl_lite.config.settings import Checked, checked, current, kinds
 
 GROUPS = {"schedule": Schedule, "learner": LearnerConfig, "discriminator": DiscriminatorConfig}
 """Of each group of settings the type that all its types extend."""
@@ -55,19 +56,19 @@ class Config:
     def _conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
         schedule, reward, ppo = self.schedule, self.reward, isinstance(self.learner, PPOConfig)
-        total, warmup, start = schedule.total_steps, schedule.warmup_steps, schedule.start_steps
-        every, size, absorbing = schedule.update_every, schedule.replay_size, schedule.absorbing
+        total, warmup, start = schedule.total_steps, schedule.learning_starts, schedule.guide_steps
+        every, size, absorbing = schedule.train_every, schedule.replay_size, schedule.absorbing
         if warmup > total:
-            yield f"warmup_steps is {warmup}, total_steps {total}: lower warmup_steps"
+            yield f"learning_starts is {warmup}, total_steps {total}: lower learning_starts"
         if (every or 0) + ppo * warmup > total:
-            yield f"update_every is {every}, total_steps {total}: lower update_every"
+            yield f"train_every is {every}, total_steps {total}: lower train_every"
         if start >= warmup:
-            yield f"start_steps is {start}; expected fewer than the {warmup} warmup_steps"
+            yield f"guide_steps is {start}; expected less than learning_starts, {warmup}"
         if ppo and not 1 <= (every or 0) <= size:
             why = "learner ppo learns from the last so many steps"
-            yield f"update_every is {every}; {why}: set it, to replay_size ({size}) at most"
+            yield f"train_every is {every}; {why}: set it, to replay_size ({size}) at most"
         if ppo and start:
-            yield f"start_steps is {start}, and ppo learns from every step: set it to 0"
+            yield f"guide_steps is {start}, and ppo learns from every step: set it to 0"
         if ppo and absorbing != "none":
             yield f"absorbing={absorbing!r} is not for ppo: set absorbing='none'"
         if reward == "environment" and absorbing != "none":
@@ -76,12 +77,12 @@ class Config:
             yield "absorbing='analytic' divides by 1 - discount: set discount below 1"
         if reward == "gan-gcl" and not ppo:
             yield "reward 'gan-gcl' is for whole episodes of the present policy: use learner='ppo'"
-        if reward.startswith("implementation") and isinstance(self.learner, TD3Config):
+        if reward in get_args(Implementation) and isinstance(self.learner, TD3Config):
             yield f"reward {reward!r} needs log π, and td3's policy has none: use learner='sac'"
         yield from self._label_conflicts()
         if isinstance(self.discriminator, DiscriminatorConfig):
-            if start and self.discriminator.loss == "mixture":
-                yield "loss='mixture' counts the steps of a guide: set start_steps=0"
+            if start and self.discriminator.loss == "airl-mixture":
+                yield "loss='airl-mixture' counts the steps of a guide: set guide_steps=0"
             if (sees := self.discriminator.reward_sees) and absorbing != "none":
                 yield f"reward_sees is {sees}, without the absorbing state: set absorbing='none'"
 
@@ -146,18 +147,19 @@ class Config:
         Raises:
             ValueError: there is no such setting, or learner and reward have no use for it.
         """
-        given = {name: default for name, (_, default, _) in _choices().items()} | flat
-        used = used_settings(given)
+        flat = current(flat)
+        chosen = {name: default for name, (_, default, _) in _choices().items()} | flat
+        used = used_settings(chosen)
         for name in [name for name in flat if name not in used]:
             if name not in (known := flat_settings()):
                 raise ValueError(f"no setting {name!r}; there are: {', '.join(known)}")
-            choice = [f"{k}={given[k]!r}" for k in ("learner", "reward", "ablation") if given[k]]
+            choice = [f"{k}={chosen[k]!r}" for k in ("learner", "reward", "ablation") if chosen[k]]
             raise ValueError(f"{name} has no use with {', '.join(choice)}: leave it out")
         others = {"frozen": Frozen(), **{name: Labels(name) for name in get_args(LabelReward)}}
-        groups: dict[str, Any] = {"discriminator": others.get(given["reward"])}
-        for part, group in _types(given).items():
+        groups: dict[str, Any] = {"discriminator": others.get(chosen["reward"])}
+        for part, group in _types(chosen).items():
             own = group.settings.items()
-            groups[part] = group(**{name: given[flat] for flat, (name, _) in own if flat in given})
+            groups[part] = group(**{name: chosen[x] for x, (name, _) in own if x in chosen})
         return cls(**groups)
 
     def change(self, **flat: Any) -> "Config":
@@ -165,7 +167,7 @@ class Config:
 
         With another learner or reward, settings that it does not have are dropped.
         """
-        now = self.flat()
+        now, flat = self.flat(), current(flat)
         kept = used_settings(now | flat)
         return Config.of(**{name: value for name, value in now.items() if name in kept} | flat)
 
@@ -186,7 +188,7 @@ def _choices() -> dict[str, tuple[Any, Any, str]]:
     learners = literal[tuple(filter(None, kinds(LearnerConfig)))]
     ablations = literal[tuple(filter(None, kinds(DiscriminatorConfig)))]
     return {
-        "reward": (RewardName, "implementation-4", "discriminator"),
+        "reward": (RewardName, "r-s", "discriminator"),
         "learner": (learners, "sac", "learner"),
         "ablation": (ablations | None, None, "discriminator"),
     }
@@ -194,14 +196,13 @@ def _choices() -> dict[str, tuple[Any, Any, str]]:
 
 def _types(flat: Mapping[str, Any]) -> dict[str, type[Checked]]:
     """Return the types of the groups that are chosen; without a reward to learn there are two."""
-    for name, (hint, *_) in _choices().items():
-        checked(name, flat.get(name), hint)
+    chosen = {name: checked(name, flat.get(name), hint) for name, (hint, *_) in _choices().items()}
     types: dict[str, type[Checked]] = {
         "schedule": Schedule,
-        "learner": kinds(LearnerConfig)[flat["learner"]],
+        "learner": kinds(LearnerConfig)[chosen["learner"]],
     }
-    if flat["reward"] in get_args(LearnedReward):
-        types["discriminator"] = kinds(DiscriminatorConfig)[flat.get("ablation") or ""]
+    if chosen["reward"] in get_args(LearnedReward):
+        types["discriminator"] = kinds(DiscriminatorConfig)[chosen["ablation"] or ""]
     return types
 
 

@@ -17,9 +17,8 @@ from offairl_lite.config.settings import (
     Sizes,
 )
 
-Implementation = Literal[
-    "implementation-1", "implementation-2", "implementation-3", "implementation-4"
-]
+Implementation = Literal["logit-sa", "logit-s", "r-sa", "r-s"]
+"""The paper's Implementations 1 to 4."""
 LearnedReward = Literal[Implementation, "dac", "gail-survival", "gail-termination", "gan-gcl"]
 LabelReward = Literal["sqil", "iq-learn"]
 RewardName = Literal[LearnedReward, LabelReward, "environment", "frozen"]
@@ -33,15 +32,15 @@ class Schedule(Checked):
     """Gymnasium id of the task; observations and actions must be boxes."""
     total_steps: Count = 1_000_000
     """Environment steps of each member."""
-    warmup_steps: Count = 10_000
-    """Steps of uniform random actions. Their updates are made up for when they are over, but not by
-    PPO, which learns from its own actions alone."""
-    warmup_hold: AtLeastOne = 1.0
-    """Mean number of steps for which a warm-up action is held; 1 draws a fresh one every step."""
-    start_steps: Natural = 0
+    learning_starts: Count = 10_000
+    """Initial steps, with uniform random actions, before networks are trained. Then their updates
+    are made up for, except by PPO, which learns from its own actions alone."""
+    random_hold: AtLeastOne = 1.0
+    """Mean number of steps for which an initial random action is held; 1 draws one every step."""
+    guide_steps: Natural = 0
     """The most steps for which a guide, another policy, acts at the start of an episode (random
     state initialisation). How many is drawn each time. They count, and are not learned from."""
-    update_every: Count | None = None
+    train_every: Count | None = None
     """Environment steps between training blocks, each of as many updates of the discriminator and
     then of the learner. None: the end of the episode, as in Algorithm 1. PPO learns from the
     block itself."""
@@ -50,7 +49,7 @@ class Schedule(Checked):
     as many whole episodes as that comes to."""
     replay_size: Count = 1_000_000
     """Transitions kept for each member; the oldest are overwritten. With PPO it says how far back
-    the discriminator's negatives go: `update_every` is on-policy to the letter."""
+    the discriminator's negatives go: `train_every` is on-policy to the letter."""
     absorbing: Literal["none", "bootstrap", "analytic"] = "none"
     """What follows a termination: nothing; an absorbing state that loops (DAC); or the loop's
     return in closed form (the paper's R_T)."""
@@ -160,15 +159,16 @@ class DiscriminatorConfig(Checked):
         name: f"discriminator_{name}" for name in ("discount", "activation", "updates")
     }
 
-    reward: LearnedReward = "implementation-4"
-    """What the learner maximises: a variant of the paper's reward, DAC's, GAIL's of either sign, or
-    GAN-GCL's."""
-    loss: Literal["exact", "mixture", "released"] = "exact"
-    """What AIRL's discriminator compares e^f with. `exact`: π as it is now, logit f - log π.
-    `mixture`: π mixed with the warm-up's uniform actions, as replay has them, so that log π has no
-    tail. `released`: nothing, logit f, as in the released code."""
+    reward: LearnedReward = "r-s"
+    """What the learner maximises. AIRL's: the reward r(s), r(s, a), or the discriminator's logit
+    with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, GAIL's of either
+    sign, GAN-GCL's."""
+    loss: Literal["airl", "airl-mixture", "log-ratio"] = "airl"
+    """The logit of AIRL's discriminator. `airl`: f - log π, with π as it is now. `airl-mixture`:
+    the same, with π mixed with the initial random actions, as replay has them, so that log π has
+    no tail. `log-ratio`: f alone, whose optimum is a log density ratio, as in the released code."""
     log_prob_in_reward: bool = True
-    """Whether Implementations 1 and 2 pay f - log π. False: they pay f, and -log π is left to the
+    """Whether logit-sa and logit-s pay f - log π. False: they pay f, and -log π is left to the
     learner's own entropy term, whose `temperature` is then to be larger by 1."""
     updates: Count | None = None
     """Updates of the discriminator at a training block. None: as many as the block has steps."""
@@ -189,11 +189,11 @@ class DiscriminatorConfig(Checked):
 
     def conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
-        pays_log_prob = self.reward in ("implementation-1", "implementation-2")
+        pays_log_prob = self.reward.startswith("logit")
         if not (self.log_prob_in_reward or pays_log_prob):
             yield (
                 f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
-                "it is for implementation-1 and implementation-2"
+                "it is for logit-sa and logit-s"
             )
 
 

@@ -1,7 +1,7 @@
 """Settings that are checked: against the types of their fields, against ranges, and together."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from types import UnionType
@@ -29,6 +29,35 @@ PLAIN: dict[type, tuple[Any, str]] = {
 """The types of single settings: what is taken for one, and what it is called in messages."""
 
 
+EARLIER = {
+    "warmup_steps": "learning_starts",
+    "warmup_hold": "random_hold",
+    "start_steps": "guide_steps",
+    "update_every": "train_every",
+}
+"""Names that settings had before, which are still understood."""
+
+SYNONYMS = {
+    "reward": {
+        **{
+            f"implementation-{n + 1}": x
+            for n, x in enumerate(("logit-sa", "logit-s", "r-sa", "r-s"))
+        },
+        "logit(s,a)": "logit-sa",
+        "logit(s)": "logit-s",
+        "r(s,a)": "r-sa",
+        "r(s)": "r-s",
+    },
+    "loss": {"exact": "airl", "mixture": "airl-mixture", "released": "log-ratio"},
+}
+"""Other spellings of values: the paper's, those that a shell needs quotes for, and earlier ones."""
+
+
+def current(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings by the names that they have now."""
+    return {EARLIER.get(name, name): value for name, value in settings.items()}
+
+
 @dataclass(frozen=True)
 class Checked:
     """A group of settings, checked one by one and then together."""
@@ -50,6 +79,11 @@ class Checked:
         for message in self.conflicts():
             raise ValueError(message)
 
+    def __getattr__(self, name: str) -> Any:
+        if name in EARLIER:
+            return getattr(self, EARLIER[name])
+        raise AttributeError(f"{type(self).__name__} has no {name}")
+
     def conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
         yield from ()
@@ -64,11 +98,13 @@ def kinds(base: type[Checked]) -> dict[str, type[Checked]]:
 
 
 def checked(name: str, value: Any, hint: Any) -> Any:
-    """Return a value as a plain one of the type that is wanted.
+    """Return a value as a plain one of the type that is wanted, in its usual spelling.
 
     Raises:
         ValueError: it is of another type, not finite, or out of range; names the setting.
     """
+    if isinstance(value, str):
+        value = SYNONYMS.get(name, {}).get(value, value)
     try:
         return _plain(value, hint)
     except ValueError:

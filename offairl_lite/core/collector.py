@@ -143,9 +143,9 @@ class Collector:
         return done
 
     def _warmup_action(self) -> Float[Tensor, "S A"]:
-        """Return uniform actions, each held for `warmup_hold` steps on average."""
+        """Return uniform actions, each held for `random_hold` steps on average."""
         fresh = 2 * self.rng.uniform(self.held_action.shape[1]) - 1
-        redraw = self.rng.uniform(1) < 1 / self.config.schedule.warmup_hold
+        redraw = self.rng.uniform(1) < 1 / self.config.schedule.random_hold
         self.held_action = torch.where(redraw | (self.steps == 0), fresh, self.held_action)
         return unsquash(self.held_action)
 
@@ -157,7 +157,7 @@ class Collector:
 
     def _draw_guided_steps(self, begins: Bool[np.ndarray, "S"]) -> None:
         """Draw for how long the guide acts in the episodes that begin."""
-        if most := self.config.schedule.start_steps:
+        if most := self.config.schedule.guide_steps:
             for i in np.flatnonzero(begins).tolist():
                 self.guided[i] = self.rng.integer(i, most + 1)
 

@@ -4,7 +4,7 @@ It tells the expert's transitions (label 1) from the policy's (label 0). AIRL's 
 
 $$\ell = f(s, a, s') - \log \pi(a|s), \qquad f = r_\psi + \gamma V_\omega(s') - V_\omega(s),$$
 
-with $r_\psi(s)$ or $r_\psi(s, a)$. The released loss leaves $\log \pi$ out: $\ell = f$. GAIL's and
+with $r_\psi(s)$ or $r_\psi(s, a)$. The log-ratio loss leaves $\log \pi$ out: $\ell = f$. GAIL's and
 DAC's is the special case $\ell = r_\psi(s, a)$, without shaping. GAN-GCL judges a whole episode:
 $\ell = \sum_t r_\psi(s_t, a_t) - \log \pi(a_t|s_t)$.
 """
@@ -137,7 +137,7 @@ class Discriminator:
         self.config, self.horizon = config, horizon
         self.is_airl = config.reward in IMPLEMENTATIONS
         self.has_policy = self.is_airl or config.reward == "gan-gcl"
-        self.policy_in_logit = self.has_policy and config.loss != "released"
+        self.policy_in_logit = self.has_policy and config.loss != "log-ratio"
         self.needs_log_prob = self.policy_in_logit or (self.has_policy and self.log_prob_in_penalty)
         kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
         self.state_only, self.reward_is_logit = kind

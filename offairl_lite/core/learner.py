@@ -67,14 +67,14 @@ def adopt(learner: Learner, policy: Policy, new_gate: bool) -> None:
 def log_density(config: Config, learner: Learner, steps: int) -> LogDensity:
     """Return log π of scaled transitions, under the actor as it is now, after so many steps.
 
-    With `loss="mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
+    With `loss="airl-mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
     """
     params, schedule = learner.actor_params.detach().clone(), config.schedule
-    if getattr(config.discriminator, "loss", None) != "mixture":
+    if getattr(config.discriminator, "loss", None) != "airl-mixture":
         return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)
     # Rows of absorbing states, which push the warm-up out earlier, are not counted.
     forgotten = max(steps - schedule.replay_size, 0)
-    uniform_share = max(schedule.warmup_steps - forgotten, 0) / (steps - forgotten)
+    uniform_share = max(schedule.learning_starts - forgotten, 0) / (steps - forgotten)
 
     def mixed_log_density(batch: Batch) -> Vector:
         log_prob = learner.log_prob(params, batch.obs, batch.pre_tanh)

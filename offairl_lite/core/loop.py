@@ -42,7 +42,7 @@ class Trainer:
 
     The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
     goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `start_steps`. Transitions are kept in `replay_file`, if
+    acts at the starts of episodes, with `guide_steps`. Transitions are kept in `replay_file`, if
     not in memory alone, which can be rewound by `memory` steps, to a checkpoint.
 
     Raises:
@@ -119,7 +119,7 @@ class Trainer:
             FloatingPointError: all members have diverged.
         """
         while True:
-            if self.steps == self.schedule.warmup_steps and not self.started:
+            if self.steps == self.schedule.learning_starts and not self.started:
                 self.start()
             while self.started and self.blocks_due:
                 self.train_on_block(self.blocks_due.pop(0))
@@ -206,10 +206,10 @@ class Trainer:
         if horizon > 1 and (ended != (self.steps % horizon == 0)).any():
             why = f"{horizon} as demonstrated, and {self.config.env_id} has ended one elsewhere"
             raise ValueError(f"gan-gcl compares whole episodes of one length, {why}")
-        if self.schedule.update_every is not None:
-            return self.steps - self.block_start == self.schedule.update_every
+        if self.schedule.train_every is not None:
+            return self.steps - self.block_start == self.schedule.train_every
         if ended.any() and not ended.all():
-            raise ValueError("members' episodes end at different times: set update_every=1000, say")
+            raise ValueError("members' episodes end at different times: set train_every=1000, say")
         return bool(ended.all())
 
     @property
@@ -329,7 +329,7 @@ def complete(
                 break
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
-        start, end = trainer.schedule.warmup_steps, trainer.steps
+        start, end = trainer.schedule.learning_starts, trainer.steps
         when = f"between step {start}, the end of the warm-up, and step {end}"
         why = f"nothing was trained: no episode was over {when}; raise total_steps"
         warnings.warn(why, stacklevel=2)

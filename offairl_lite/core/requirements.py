@@ -38,7 +38,7 @@ def require_inputs(
         raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
     if demonstrations is not None and demonstrations.env_id != config.env_id:
         raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")
-    pretrained, start_steps = config.pretrained, config.schedule.start_steps
+    pretrained, guide_steps = config.pretrained, config.schedule.guide_steps
     pairs: list[tuple[str, bool, Population | None]] = [
         (f"reward={config.reward!r} and a frozen reward", config.reward == "frozen", frozen_reward),
         (
@@ -46,7 +46,7 @@ def require_inputs(
             pretrained != "nothing",
             pretrained_policy,
         ),
-        (f"start_steps={start_steps} and a guide", start_steps > 0, guide),
+        (f"guide_steps={guide_steps} and a guide", guide_steps > 0, guide),
     ]
     for what, is_needed, trained in pairs:
         if is_needed != (trained is not None):
@@ -110,11 +110,11 @@ def episode_length(config: Config, demonstrations: Demonstrations | None) -> int
     if config.reward != "gan-gcl" or demonstrations is None:
         return 1
     lengths, schedule = set(demonstrations.lengths), config.schedule
-    multiples = schedule.warmup_steps, schedule.update_every or 0, schedule.replay_size
+    multiples = schedule.learning_starts, schedule.train_every or 0, schedule.replay_size
     if len(lengths) > 1 or any(n % min(lengths) for n in multiples):
         raise ValueError(
             "gan-gcl compares whole episodes of one length: the demonstrations have "
-            f"{min(lengths)} to {max(lengths)} steps, and warmup_steps, update_every and "
+            f"{min(lengths)} to {max(lengths)} steps, and learning_starts, train_every and "
             f"replay_size, {multiples}, must be multiples of that"
         )
     return lengths.pop()

@@ -26,10 +26,10 @@ class Implementation(NamedTuple):
 
 
 IMPLEMENTATIONS = {
-    "implementation-1": Implementation(state_only=False, reward_is_logit=True),
-    "implementation-2": Implementation(state_only=True, reward_is_logit=True),
-    "implementation-3": Implementation(state_only=False, reward_is_logit=False),
-    "implementation-4": Implementation(state_only=True, reward_is_logit=False),
+    "logit-sa": Implementation(state_only=False, reward_is_logit=True),
+    "logit-s": Implementation(state_only=True, reward_is_logit=True),
+    "r-sa": Implementation(state_only=False, reward_is_logit=False),
+    "r-s": Implementation(state_only=True, reward_is_logit=False),
 }
 """1: log D - log(1 - D) with r(s, a); 2: the same with r(s); 3: r(s, a) itself; 4: r(s) itself."""
 

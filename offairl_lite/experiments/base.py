@@ -67,9 +67,9 @@ ON_POLICY: Changes = {
     "learner": "ppo",
     "temperature": 1e-3,
     "log_std_range": (-2.0, 2.0),
-    "update_every": 2_000,
+    "train_every": 2_000,
     "replay_size": 2_000,
-    "warmup_steps": 2_000,
+    "learning_starts": 2_000,
     "discriminator_updates": 100,
     "batch_size": 250,
 }
@@ -88,13 +88,16 @@ EXPERT: Changes = {"reward": "environment", "reward_scale": 100.0}
 
 # The paper's four rewards; the four once more, with a log π that has no tail
 # (`DiscriminatorConfig.loss`), and DAC's.
-MIXTURE = {"loss": "mixture"}
-_FOUR = {f"implementation-{n}": {"reward": f"implementation-{n}"} for n in (1, 2, 3, 4)}
+MIXTURE = {"loss": "airl-mixture"}
+_FOUR = {
+    f"implementation-{n}": {"reward": reward}
+    for n, reward in enumerate(("logit-sa", "logit-s", "r-sa", "r-s"), 1)
+}
 REWARDS = {**_FOUR, "dac": {"reward": "dac"}, **crossed(_FOUR, {"mixture": MIXTURE})}
 
 
-def retraining_variants(alone: Changes, start_steps: int) -> dict[str, Changes]:
-    """Return what may be kept of the policy, each with and without a guide's `start_steps`.
+def retraining_variants(alone: Changes, guide_steps: int) -> dict[str, Changes]:
+    """Return what may be kept of the policy, each with and without a guide's `guide_steps`.
 
     What begins with a policy has one episode of random actions, and no other help to explore:
     `alone` says so.
@@ -103,5 +106,5 @@ def retraining_variants(alone: Changes, start_steps: int) -> dict[str, Changes]:
     for k in (4, 8):
         actor = {"primitives": k, "pretrained": "primitives", **alone}
         kept |= {f"{k}-gate": {**actor, "fixed_primitives": True}, f"{k}-both": actor}
-    guided = {"start_steps": start_steps}
+    guided = {"guide_steps": guide_steps}
     return crossed(kept, {"": {}, "own-starts": guided, "expert-starts": guided})

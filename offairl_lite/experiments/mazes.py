@@ -14,13 +14,13 @@ MARSH, WEST = "offairl/PointMarsh-v0", "offairl/PointMarshWest-v0"
 # temperature is learned, for a policy twice as wide as usual, which falls back into the trap under
 # the barrier less often.
 MAZE_FULL = CORRECTED.change(
-    env_id=base.LEFT, temperature=None, target_entropy=-1.0, warmup_hold=10.0
+    env_id=base.LEFT, temperature=None, target_entropy=-1.0, random_hold=10.0
 )
 
 # Small networks and batches and faster targets: a minute or two for five seeds on a laptop.
 MAZE_DEMO = MAZE_FULL.change(
     total_steps=6_000,
-    warmup_steps=3_000,
+    learning_starts=3_000,
     batch_size=64,
     hidden=(64, 64),
     reward_hidden=(64, 64),
@@ -50,13 +50,13 @@ _ACTORS = {
 
 # The ways to begin, those with primitives with the warm-up of scratch, too, and the gate alone with
 # a temperature that cannot run away.
-_UNHELPED = base.retraining_variants({"warmup_steps": 100, "warmup_hold": 1.0}, 50)
+_UNHELPED = base.retraining_variants({"learning_starts": 100, "random_hold": 1.0}, 50)
 _RETRAINING = (
     _UNHELPED
     | {
         f"{name}-helped": changes
         for name, changes in base.retraining_variants({}, 50).items()
-        if changes.get("pretrained") == "primitives" and "start_steps" not in changes
+        if changes.get("pretrained") == "primitives" and "guide_steps" not in changes
     }
     | {f"{k}-gate-cool": {**_UNHELPED[f"{k}-gate"], "temperature": 0.02} for k in (4, 8)}
 )
@@ -89,9 +89,9 @@ _WORTH = crossed(
     {"": {}, "back": {"env_id": base.LEFT}, "true": base.EXPERT},
     {
         "scratch": {},
-        "scratch-alone": {"warmup_hold": 1.0},
+        "scratch-alone": {"random_hold": 1.0},
         "policy": {"pretrained": "policy"},
-        "policy-alone": {"pretrained": "policy", "warmup_steps": 100, "warmup_hold": 1.0},
+        "policy-alone": {"pretrained": "policy", "learning_starts": 100, "random_hold": 1.0},
     },
 )
 

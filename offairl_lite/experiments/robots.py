@@ -11,7 +11,7 @@ from offairl_lite.experiments.base import Changes, Experiment, crossed, experime
 ANT, DISABLED = "offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"
 
 # Members end their episodes at different times, so they train every 1,000 steps.
-_FULL = CORRECTED.change(update_every=1_000)
+_FULL = CORRECTED.change(train_every=1_000)
 
 _DEMO = _FULL.change(
     total_steps=20_000,
@@ -63,14 +63,14 @@ _FIRST = crossed(
 
 # What makes off-policy AIRL work on robots: its loss, the temperature, and how many random steps
 # come first. The released loss at 0.2 after the short warm-up is the recipe.
-_RELEASED = {"loss": "released"}
+_RELEASED = {"loss": "log-ratio"}
 _BY_THE_RECIPE = {"airl": _RELEASED, **crossed(_MCP, {"": _RELEASED}), **_AND_DAC}
 _ROBOTS = _imitated("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
 _WHAT_DECIDES = crossed(
     _ROBOTS,
     {"exact": {}, "mixture": base.MIXTURE, "released": _RELEASED, "dac": _DAC},
     {"fixed": {"temperature": 0.2}, "learned": {"temperature": None}, "one": {"temperature": 1.0}},
-    {"short": {"warmup_steps": 1_000}, "long": {"warmup_steps": 10_000}},
+    {"short": {"learning_starts": 1_000}, "long": {"learning_starts": 10_000}},
 )
 
 # What one would use instead, on the five robots, each with its strongest expert. How many
@@ -91,7 +91,7 @@ _BEST: base.Experts = {"demo": "best", "full": "best"}
 
 # The paper's three candidates for an expert, on its eight tasks.
 _MAZES = {short_name(env_id): {"env_id": env_id} for env_id in (base.LEFT, base.RIGHT)}
-_ON_THE_MAZE: Changes = {"update_every": None, "warmup_hold": 10.0, **base.EXPERT}
+_ON_THE_MAZE: Changes = {"train_every": None, "random_hold": 10.0, **base.EXPERT}
 _TD3 = {"td3": base.DAC["td3"]}
 _SAC: dict[str, Changes] = {"sac-fixed": {"temperature": 0.2}, "sac-learned": {"temperature": None}}
 _EXPERTS = crossed(_TASKS, _TD3 | _SAC) | crossed(
@@ -99,18 +99,18 @@ _EXPERTS = crossed(_TASKS, _TD3 | _SAC) | crossed(
 )
 
 # The maze's ways to begin, and those without a guide in the published action order.
-_ANT_TRANSFER = base.retraining_variants({"warmup_steps": 1_000}, 100)
+_ANT_TRANSFER = base.retraining_variants({"learning_starts": 1_000}, 100)
 _ANT_TRANSFER |= {
     f"{name}-released-order": {**changes, "env_id": "offairl/DisabledAntReleased-v0"}
     for name, changes in _ANT_TRANSFER.items()
-    if "start_steps" not in changes
+    if "guide_steps" not in changes
 }
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "experts": _robot(
         "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
         {**_TASKS["HalfCheetah"], "reward": "environment"},
-        demo={"total_steps": 6_000, "warmup_steps": 1_000, "update_every": 200, "batch_size": 64},
+        demo={"total_steps": 6_000, "learning_starts": 1_000, "train_every": 200, "batch_size": 64},
         variants=_EXPERTS,
         experts=base.ALL_EXPERTS,
     ),
@@ -129,8 +129,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         {**_HOPPER, **_DAC},
         demo={
             "total_steps": 12_000,
-            "warmup_steps": 2_000,
-            "update_every": 250,
+            "learning_starts": 2_000,
+            "train_every": 250,
             "batch_size": 64,
             "temperature": None,
             "target_rate": 0.01,
@@ -143,7 +143,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "locomotion": _robot(
         "Off-policy AIRL by the recipe, with SAC and SAC-MCP, beside DAC with SAC and TD3: 25 runs",
-        {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
+        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo={**base.SMALL_MCP, "total_steps": 500_000, "eval_every": 25_000, "eval_episodes": 10},
         variants=crossed(_FIVE, _BY_THE_RECIPE),
     ),
@@ -161,14 +161,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "benchmark": _robot(
         "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give --trajectories",
-        {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
+        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_BENCHMARK,
         experts=_BEST,
     ),
     "benchmark-warm": _robot(
         "The recipe from a clone: give --trajectories, --pretrained-policy and --only, one robot",
-        {**_TASKS["HalfCheetah"], "warmup_steps": 1_000},
+        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_WARM,
         experts=_BEST,
@@ -191,8 +191,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "imitate": _robot(
         "Off-policy AIRL by the recipe, on a task of your own: give --env-id and --dataset",
-        {"warmup_steps": 1_000, **_RELEASED},
-        demo={"update_every": 200, "eval_episodes": 10},
+        {"learning_starts": 1_000, **_RELEASED},
+        demo={"train_every": 200, "eval_episodes": 10},
         experts=base.ALL_EXPERTS,
     ),
 }

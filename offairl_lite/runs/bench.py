@@ -89,8 +89,8 @@ def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[st
         hidden=hidden,
         batch_size=BATCH,
         temperature=None,  # learned, as in other libraries
-        warmup_steps=2 * CHUNK,
-        update_every=2 * CHUNK,
+        learning_starts=2 * CHUNK,
+        train_every=2 * CHUNK,
         replay_size=100_000,
         total_steps=10**9,
         eval_every=10**9,
@@ -153,8 +153,8 @@ def estimate(config: Config, members: int) -> float:
     evaluate.
     """
     schedule = config.schedule
-    every = (config.learner.kind == "ppo" and schedule.update_every) or 20
-    short = {"start_steps": 0, "warmup_steps": every, "update_every": every, "eval_episodes": 1}
+    every = (config.learner.kind == "ppo" and schedule.train_every) or 20
+    short = {"guide_steps": 0, "learning_starts": every, "train_every": every, "eval_episodes": 1}
     short |= {"total_steps": 10**9, "eval_every": 10**9, "replay_size": max(10_000, every)}
     plain = {"reward": "environment", "absorbing": "none"} if config.reward == "frozen" else {}
     fresh = {"pretrained": "nothing"} if config.pretrained != "nothing" else {}

@@ -169,7 +169,7 @@ def most_steps_between(spec: RunSpec) -> int:
     The block in which the warm-up ends may be cut short, and add to the next.
     """
     schedule = spec.config.schedule
-    block = schedule.update_every or envs.spec(schedule.env_id).max_episode_steps
+    block = schedule.train_every or envs.spec(schedule.env_id).max_episode_steps
     return spec.checkpoint_every + 2 * (block or schedule.total_steps)
 
 

@@ -18,6 +18,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from offairl_lite import cloning, demonstrations, envs
 from offairl_lite.analysis import films
 from offairl_lite.config import CORRECTED
+from offairl_lite.config.settings import EARLIER, SYNONYMS
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rollouts import rollout
@@ -286,6 +287,22 @@ def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -
     print(dumps(report, indent=2) if json else table(report))
 
 
+def in_current_words(args: Sequence[str]) -> list[str]:
+    """Return arguments with earlier names and other spellings of settings replaced.
+
+    `--scale=full` becomes `--scale full`.
+    """
+    parts = [
+        part for arg in args for part in (arg.split("=", 1) if arg.startswith("--") else [arg])
+    ]
+    options = {f"--{old}".replace("_", "-"): f"--{new}" for old, new in EARLIER.items()}
+    parts = [options.get(part.replace("_", "-"), part) for part in parts]
+    return [
+        SYNONYMS.get(before.removeprefix("--"), {}).get(part, part)
+        for before, part in pairwise(["", *parts])
+    ]
+
+
 def main(args: Sequence[str] | None = None) -> None:
     """Off-policy adversarial inverse reinforcement learning, from the command line.
 
@@ -293,12 +310,7 @@ def main(args: Sequence[str] | None = None) -> None:
     """
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
     sys.path.append(str(Path.cwd()))
-    # `--scale=full` is `--scale full`, also where it is looked for below.
-    args = [
-        part
-        for arg in (sys.argv[1:] if args is None else args)
-        for part in (arg.split("=", 1) if arg.startswith("--") else [arg])
-    ]
+    args = in_current_words(sys.argv[1:] if args is None else args)
     with folders.one_line():
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.

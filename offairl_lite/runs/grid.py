@@ -9,7 +9,7 @@ from docstring_parser import parse_from_object
 from tyro.conf import OmitArgPrefixes, arg
 
 from offairl_lite.config import GROUPS, Config, flat_settings, used_settings
-from offairl_lite.config.settings import checked, kinds
+from offairl_lite.config.settings import checked, current, kinds
 from offairl_lite.experiments import Experiment
 from offairl_lite.scale import Scale
 
@@ -104,7 +104,7 @@ def grid(config: Config, axes: Sequence[str]) -> dict[str, Config]:
     known, values = flat_settings(), {}
     for axis in axes:
         name, equals, texts = axis.partition("=")
-        name = name.replace("-", "_")
+        (name,) = current({name.replace("-", "_"): None})
         if not equals or name in values:
             raise ValueError(f"--grid {axis}: expected SETTING=VALUE,VALUE, and each setting once")
         if name not in known:

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 CURES = {
     "frozen_reward": "--reward frozen",
     "pretrained_policy": "--pretrained policy",
-    "guide": "--start-steps 50",
+    "guide": "--guide-steps 50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
 
@@ -36,7 +36,7 @@ def needed(config: Config) -> dict[str, Any]:
     uses = {
         "frozen_reward": config.reward == "frozen",
         "pretrained_policy": config.pretrained != "nothing",
-        "guide": config.schedule.start_steps > 0,
+        "guide": config.schedule.guide_steps > 0,
     }
     return {name: Reward if name == "frozen_reward" else Policy for name in uses if uses[name]}
 

@@ -46,7 +46,7 @@ class Given:
             Several become one population.
         pretrained_policy: An earlier run, or its policy.safetensors, where `pretrained` is not
             nothing.
-        guide: Policies that act at the start of episodes, where there are `start_steps`.
+        guide: Policies that act at the start of episodes, where there are `guide_steps`.
         device: Where networks live.
         threads: Threads of PyTorch and of the physics in each process. Small networks need one.
         compile: Whether updates are compiled; auto: in runs of 50,000 steps or more.
@@ -189,7 +189,7 @@ def _create(
         execution = choose_execution(config, given.device, given.threads, given.compile)
         # A trainer refuses what does not fit, before anything is written. A small replay will do,
         # but for GAN-GCL, which compares the replay's size with others.
-        small = {"replay_size": config.schedule.update_every or 1}
+        small = {"replay_size": config.schedule.train_every or 1}
         tried = config if config.reward == "gan-gcl" else config.change(**small)
         trial = Trainer(tried, seeds, shown, **things, execution=execution)
         with closing(trial), closing(envs.make(env_id, len(seeds), seeds)) as twin:

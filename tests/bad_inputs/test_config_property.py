@@ -33,7 +33,7 @@ WORDS = [
 WORDS += [
     "environment",
     "frozen",
-    "implementation-2",
+    "logit-s",
     "bootstrap",
     "analytic",
     "bottleneck",

@@ -107,7 +107,7 @@ def require_command(command):
         config = configuration(experiment, {k: v for k, v in options.items() if k in SETTINGS})
         assert ("frozen_reward" in options) == (config.reward == "frozen"), command
         assert ("pretrained_policy" in options) == (config.pretrained != "nothing"), command
-        assert ("guide" in options) == (config.schedule.start_steps > 0), command
+        assert ("guide" in options) == (config.schedule.guide_steps > 0), command
         for about in ("dataset", "trajectories", "subsample"):
             assert about not in options or config.imitates, command
 
@@ -270,7 +270,7 @@ def test_weights_and_biases_gets_every_number(monkeypatch):
     seen = []
     known["wandb"] = SimpleNamespace(log=lambda numbers, step: seen.append(step))
     config = EXPERIMENTS["maze-expert"].configs["demo"]
-    config = config.change(total_steps=200, warmup_steps=100, eval_every=100, hidden=(8,))
+    config = config.change(total_steps=200, learning_starts=100, eval_every=100, hidden=(8,))
     train(config, (0, 1), progress=False, on_evaluation=known["to_wandb"])
     assert seen == [100, 100, 200, 200]
 

@@ -36,7 +36,7 @@ LENGTH = {"total_steps"}
 VARIED = {
     "maze-imitation-2-demo": {"reward"},
     "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
-    "maze-imitation-fresh-demo": {"warmup_hold"},
+    "maze-imitation-fresh-demo": {"random_hold"},
     "maze-imitation-raw-demo": {"normalise"},
     "maze-imitation-released-loss-demo": {"loss"},
     "maze-imitation-right-demo": {"env_id"},
@@ -72,7 +72,7 @@ VARIED = {
         for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
     **{
-        f"decides-blocks-demo/{robot}-released-fixed-short": {"update_every"}
+        f"decides-blocks-demo/{robot}-released-fixed-short": {"train_every"}
         for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt")
     },
     **{
@@ -120,15 +120,15 @@ VARIED = {
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
     "decides-transfer-demo/dac/scratch": {"centre_reward"},
     "decides-transfer-demo/true/scratch": {"reward"},
-    "decides-transfer-demo/velocity-short/scratch": {"centre_reward", "warmup_steps"},
+    "decides-transfer-demo/velocity-short/scratch": {"centre_reward", "learning_starts"},
     "decides-transfer-demo/velocity-cool/scratch": {"centre_reward", "temperature"},
     "decides-transfer-demo/velocity-recipe/scratch": {
         "centre_reward",
         "temperature",
-        "warmup_steps",
+        "learning_starts",
     },
     **{
-        f"decides-transfer-demo/{reward}/scratch": {"temperature", "warmup_steps"}
+        f"decides-transfer-demo/{reward}/scratch": {"temperature", "learning_starts"}
         for reward in ("velocity-recipe-raw", "state-recipe", "dac-recipe")
     },
     "decides-transfer-demo/velocity-recipe/policy": {"centre_reward", "temperature"},
@@ -202,10 +202,10 @@ VARIED = {
     "locomotion-first-alpha-1-demo/Hopper-dac": {"eval_every", "temperature"},
     "locomotion-first-logit-demo/HalfCheetah-airl-mixture": {"eval_every", "reward"},
     "locomotion-first-logit-demo/Hopper-airl-mixture": {"eval_every", "reward"},
-    "experts-long/Ant-sac-learned": {"warmup_steps"},
-    "experts-long/Hopper-sac-fixed": {"warmup_steps"},
+    "experts-long/Ant-sac-learned": {"learning_starts"},
+    "experts-long/Hopper-sac-fixed": {"learning_starts"},
     **{
-        f"experts-small/{run}": {"eval_every", "hidden", "warmup_steps"}
+        f"experts-small/{run}": {"eval_every", "hidden", "learning_starts"}
         for run in ("Ant-sac-learned", "Hopper-sac-fixed", "Walker2d-sac-fixed")
     },
     # The shipped experts are trained for longer, and evaluated less often.
@@ -280,7 +280,7 @@ def test_the_recipe_of_what_primitives_offer_gives_what_is_recorded(tmp_path, mo
 def test_the_script_of_the_long_warm_up_makes_no_updates_for_it(monkeypatch):
     cell = next(c for c in cells(ROOT / "book/notes", "long_warmup") if "skip.py" in c.source)
     (script,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
-    sizes = {"warmup_steps": 4, "update_every": 2, "total_steps": 8, "eval_every": 8}
+    sizes = {"learning_starts": 4, "train_every": 2, "total_steps": 8, "eval_every": 8}
     task = {"env_id": "offairl/PointMazeLeft-v0", "reward": "environment", "absorbing": "none"}
     config = CORRECTED.change(**sizes, **task, eval_episodes=1)
     fitted = []

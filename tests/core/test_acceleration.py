@@ -27,15 +27,15 @@ needs_onednn = pytest.mark.skipif(not onednn_is_exact(), reason="oneDNN rounds t
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 
 VARIANTS = [
-    {"temperature": None, "update_every": 20},
+    {"temperature": None, "train_every": 20},
     {
         "env_id": HOPPER,
-        "update_every": 20,
+        "train_every": 20,
         "absorbing": "analytic",
         "ablation": "penalty-on-probability",
     },
-    {"env_id": HOPPER, "update_every": 20, "reward": "dac", "learner": "td3"},
-    {"env_id": HOPPER, "update_every": 20, "learner": "ppo"},
+    {"env_id": HOPPER, "train_every": 20, "reward": "dac", "learner": "td3"},
+    {"env_id": HOPPER, "train_every": 20, "learner": "ppo"},
 ]
 NAMES = ["airl", "absorbing", "td3", "ppo"]
 
@@ -60,7 +60,7 @@ def assert_same_updates(config, demonstrations, other):
 @needs_compiler
 @pytest.mark.parametrize("changes", VARIANTS, ids=NAMES)
 def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, changes):
-    config = tiny.change(warmup_steps=20, **changes)
+    config = tiny.change(learning_starts=20, **changes)
     config = config.change(hidden=(16,), reward_hidden=(8,), shaping_hidden=(8,))
     assert_same_updates(config, random_demonstrations(config.env_id), Execution(compile=True))
 
@@ -69,7 +69,7 @@ def test_a_compiled_update_is_the_same_update(tiny, random_demonstrations, chang
 @pytest.mark.parametrize("compile", [False, pytest.param(True, marks=needs_compiler)])
 def test_an_update_with_onednn_is_the_same_update(tiny, random_demonstrations, compile):
     """Networks are wide enough for PyTorch to ask it; rounding to 16 bits would be seen."""
-    config = tiny.change(warmup_steps=20, update_every=20, hidden=(64, 64), batch_size=64)
+    config = tiny.change(learning_starts=20, train_every=20, hidden=(64, 64), batch_size=64)
     other = Execution(compile=compile, onednn=True)
     assert_same_updates(config, random_demonstrations(config.env_id), other)
 
@@ -151,7 +151,7 @@ def test_member_by_member_and_piece_by_piece_it_is_the_same_function(rows):
 @pytest.mark.parametrize("compile", [False, True])
 @pytest.mark.parametrize("changes", VARIANTS, ids=NAMES)
 def test_a_captured_update_is_the_same_update(tiny, random_demonstrations, changes, compile):
-    config = tiny.change(warmup_steps=20, **changes)
+    config = tiny.change(learning_starts=20, **changes)
     demonstrations = random_demonstrations(config.env_id)
     assert_same_updates(config, demonstrations, Execution("cuda", compile=compile))
 

@@ -12,7 +12,7 @@ from offairl_lite.core import collector
 from offairl_lite.core.loop import Trainer, complete, train
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "train_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -29,8 +29,8 @@ def end_episodes(trainer, terminated=(), truncated=()):
 
 
 def test_the_warm_up_holds_an_action_as_long_as_it_says(tiny):
-    steps = {"warmup_steps": 1001, "total_steps": 1101}
-    trainer = Trainer(tiny.change(reward="environment", warmup_hold=4.0, **steps), range(10))
+    steps = {"learning_starts": 1001, "total_steps": 1101}
+    trainer = Trainer(tiny.change(reward="environment", random_hold=4.0, **steps), range(10))
     for _ in range(1000):
         trainer.collector.step(None)
     actions = trainer.collector.replay.last(1000).pre_tanh
@@ -52,7 +52,7 @@ def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
     tiny, random_demonstrations, caplog, changes, warned
 ):
     collector._say_that_ends_matter.cache_clear()
-    config = tiny.change(**{"env_id": HOPPER, "update_every": 50, **changes})
+    config = tiny.change(**{"env_id": HOPPER, "train_every": 50, **changes})
     shown = random_demonstrations(HOPPER) if config.imitates else None
     run(config, (0, 1), shown)
     assert len(caplog.messages) == warned
@@ -62,7 +62,7 @@ def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
 
 
 def test_the_absorbing_state_is_kept_for_the_member_that_came_to_it(tiny, random_demonstrations):
-    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="bootstrap")
+    config = tiny.change(env_id=HOPPER, train_every=50, absorbing="bootstrap")
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
     end_episodes(trainer, terminated=[1])
     trainer.collector.step(None)
@@ -92,7 +92,7 @@ def test_a_time_limit_makes_no_absorbing_state(tiny, maze, until):
 
 
 def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny, until, earlier_policy):
-    config = tiny.change(reward="environment", start_steps=40, total_steps=400)
+    config = tiny.change(reward="environment", guide_steps=40, total_steps=400)
     guide = earlier_policy(config, 2)
     trainer = Trainer(config, range(2), guide=guide)
     acting = trainer.collector
@@ -122,7 +122,7 @@ def test_a_guide_acts_at_the_start_and_its_steps_are_not_learned_from(tiny, unti
 
 
 def test_for_how_long_a_guide_acts_is_uniform(tiny, earlier_policy):
-    config = tiny.change(reward="environment", start_steps=3, update_every=50)
+    config = tiny.change(reward="environment", guide_steps=3, train_every=50)
     trainer = Trainer(config, range(100), guide=earlier_policy(config, 100))
     end_episodes(trainer, truncated=range(100))
     counts = torch.zeros(4)
@@ -133,7 +133,7 @@ def test_for_how_long_a_guide_acts_is_uniform(tiny, earlier_policy):
 
 
 def test_a_guide_s_steps_are_drawn_only_for_members_whose_episodes_begin(tiny, earlier_policy):
-    config = tiny.change(reward="environment", start_steps=40)
+    config = tiny.change(reward="environment", guide_steps=40)
     ending, going_on = (
         Trainer(config, range(2), guide=earlier_policy(config, 2)) for _ in range(2)
     )
@@ -185,23 +185,23 @@ def test_a_first_observation_that_is_no_number_is_named_too(faulty, tiny, monkey
         return np.full(3, np.nan if seed is None and self.ill else 0, np.float32), {}
 
     monkeypatch.setattr(Faulty, "reset", reset)
-    config = tiny.change(env_id=faulty, reward="environment", update_every=20)
+    config = tiny.change(env_id=faulty, reward="environment", train_every=20)
     found = r"Faulty-v0 is at fault in step 9: its observation\[0\] is nan, not within ±1e\+08"
     with pytest.raises(ValueError, match=found):
         run(config, range(6))
 
 
-@pytest.mark.parametrize("warmup_steps", [20, 100])
-def test_a_task_that_gives_no_numbers_is_named(faulty, tiny, warmup_steps):
-    changes = {"env_id": faulty, "reward": "environment", "update_every": 20}
-    config = tiny.change(**changes, warmup_steps=warmup_steps)
+@pytest.mark.parametrize("learning_starts", [20, 100])
+def test_a_task_that_gives_no_numbers_is_named(faulty, tiny, learning_starts):
+    changes = {"env_id": faulty, "reward": "environment", "train_every": 20}
+    config = tiny.change(**changes, learning_starts=learning_starts)
     found = r"Faulty-v0 is at fault in step 10: its observation\[0\] is nan, not within ±1e\+08"
     with pytest.raises(ValueError, match=found):
         run(config, range(6))
 
 
 def test_what_a_task_gives_to_a_member_that_was_given_up_does_not_matter(faulty, tiny):
-    config = tiny.change(env_id=faulty, reward="environment", update_every=20)
+    config = tiny.change(env_id=faulty, reward="environment", train_every=20)
     trainer = Trainer(config, range(6))
     ill = torch.tensor([env.unwrapped.ill for env in trainer.collector.env.envs])
     with pytest.warns(UserWarning, match="seed . diverged by step 0: its eye is red"):

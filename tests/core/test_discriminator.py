@@ -177,7 +177,7 @@ def test_the_penalty_is_that_of_autograd_between_both_sides(name):
 
 @pytest.mark.parametrize("name", [name for name in AIRL if "bottleneck" not in name])
 def test_log_odds_of_the_discriminator_are_f_minus_log_prob(name):
-    config = CONFIGS[name].change(gradient_penalty=0.0, loss="exact")
+    config = CONFIGS[name].change(gradient_penalty=0.0, loss="airl")
     discriminator, (expert, policy, *logs, c) = make(config), data()
 
     def d(batch, log_prob):
@@ -195,18 +195,18 @@ def test_log_odds_of_the_discriminator_are_f_minus_log_prob(name):
 
 def test_the_corrected_gradient_depends_on_the_policy_and_the_released_does_not():
     corrected, released = CONFIGS["r(s)"], CONFIGS["released r(s)"]
-    for config in (corrected, released.change(loss="exact")):
+    for config in (corrected, released.change(loss="airl")):
         one, other = (cross_entropy_gradient(config, shift) for shift in (0.0, 1.0))
         assert (one - other).abs().max() > 1e-2
     one, other = (cross_entropy_gradient(released, shift) for shift in (0.0, 1.0))
     assert torch.equal(one, other)
 
 
-@pytest.mark.parametrize("reward", ["implementation-1", "implementation-4", "gan-gcl"])
+@pytest.mark.parametrize("reward", ["logit-sa", "r-s", "gan-gcl"])
 def test_log_prob_is_asked_for_where_the_loss_has_it(reward):
     config = CONFIGS["gan-gcl"] if reward == "gan-gcl" else CONFIGS["r(s)"].change(reward=reward)
     assert make(config).needs_log_prob
-    released = make(config.change(loss="released"))
+    released = make(config.change(loss="log-ratio"))
     assert not released.needs_log_prob
     expert, policy, *logs, c = data()
     with_it, without = (loss_of(released, expert, policy, *x, c)[0] for x in (logs, (None, None)))

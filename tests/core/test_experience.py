@@ -17,7 +17,7 @@ from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "train_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -26,7 +26,7 @@ run = partial(train, progress=False)
 
 def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, record):
     updates, judged = record(SAC, "update"), record(Discriminator, "update")
-    run(tiny.change(update_every=51, warmup_steps=51, total_steps=102), (0,), maze)
+    run(tiny.change(train_every=51, learning_starts=51, total_steps=102), (0,), maze)
     assert len(updates) == len(judged) == 102
     assert {batch.obs.shape for batch, *_ in updates} == {(1, 8, 3)}
     assert {side.obs.shape for minibatch in judged for side in minibatch[:2]} == {(1, 8, 3)}
@@ -35,7 +35,7 @@ def test_blocks_that_are_no_multiple_of_a_chunk_are_trained_in_full(tiny, maze, 
 @pytest.mark.parametrize(("learner", "kind"), [("sac", SAC), ("td3", TD3)])
 def test_every_second_update_has_the_actor_wherever_blocks_end(tiny, record, learner, kind):
     updates = record(kind, "update")
-    run(tiny.change(reward="environment", learner=learner, update_every=31), (0,))
+    run(tiny.change(reward="environment", learner=learner, train_every=31), (0,))
     assert [update_actor for *_, update_actor in updates] == [False, True] * (6 * 31 // 2)
 
 
@@ -52,7 +52,7 @@ def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer
 
 def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
     seen = record(Discriminator, "update")
-    blocks = {**ON_POLICY, "update_every": 200, "replay_size": 200, "total_steps": 300}
+    blocks = {**ON_POLICY, "train_every": 200, "replay_size": 200, "total_steps": 300}
     config = tiny.change(**blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
     trainer = Trainer(config, (0, 1), maze)
     until(trainer, lambda t: seen)
@@ -94,7 +94,7 @@ def test_sqil_is_sac_that_is_paid_1_for_demonstrations_and_0_for_replay(
     tiny, random_demonstrations, record, absorbing
 ):
     updates = record(SAC, "update")
-    config = tiny.change(env_id=HOPPER, update_every=50, reward="sqil")
+    config = tiny.change(env_id=HOPPER, train_every=50, reward="sqil")
     config = config.change(reward_scale=3.0, normalise=False)
     shown = random_demonstrations(HOPPER)
     result = run(config.change(absorbing=absorbing), (0, 1), shown)
@@ -130,7 +130,7 @@ def test_the_density_can_be_that_of_the_replay_with_its_share_of_random_actions(
 
     monkeypatch.setattr(SAC, "log_prob", log_prob)
     seen, rewarded = record(Discriminator, "update"), record(Discriminator, "reward")
-    config = tiny.change(reward="implementation-1", loss="mixture", replay_size=size)
+    config = tiny.change(reward="logit-sa", loss="airl-mixture", replay_size=size)
     run(config, (0,), maze)
     paid = [(log_density(batch),) for batch, log_density in rewarded]
     for densities in [(expert.log_prob, policy.log_prob) for expert, policy, _ in seen], paid:
@@ -143,8 +143,8 @@ def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
     tiny, random_demonstrations, record
 ):
     seen = record(Discriminator, "update")
-    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="bootstrap")
-    config = config.change(loss="mixture")
+    config = tiny.change(env_id=HOPPER, train_every=50, absorbing="bootstrap")
+    config = config.change(loss="airl-mixture")
     run(config, (0,), random_demonstrations(HOPPER))
     there = torch.cat([absorbing.is_absorbing(policy.obs) for _, policy, _ in seen], 1)
     density = torch.cat([policy.log_prob for _, policy, _ in seen], 1)
@@ -155,7 +155,7 @@ def test_where_an_episode_has_ended_the_replay_s_density_is_still_certain(
 
 def test_log_prob_is_that_of_before_the_block(tiny, maze, record, until):
     seen = record(SAC, "log_prob")
-    trainer = Trainer(tiny.change(reward="implementation-1"), (0,), maze)
+    trainer = Trainer(tiny.change(reward="logit-sa"), (0,), maze)
     until(trainer, lambda t: t.trained == 100)
     # In two chunks: of both sides for the discriminator, and once for the reward.
     assert len(seen) == 2 * 2 + 2
@@ -213,7 +213,7 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
     tiny, random_demonstrations, record, until
 ):
     updates, found = record(SAC, "update"), []
-    config = tiny.change(env_id=HOPPER, update_every=50, absorbing="analytic")
+    config = tiny.change(env_id=HOPPER, train_every=50, absorbing="analytic")
     for centred in (False, True):
         updates.clear()
         trainer = Trainer(
@@ -235,10 +235,10 @@ def test_the_absorbing_state_s_reward_is_centred_with_the_others(
         )
 
 
-@pytest.mark.parametrize("reward", ["dac", "implementation-1"])
+@pytest.mark.parametrize("reward", ["dac", "logit-sa"])
 def test_the_absorbing_state_has_its_own_reward(tiny, random_demonstrations, record, until, reward):
     updates, paid = record(SAC, "update"), record(Discriminator, "reward")
-    changes = {"env_id": HOPPER, "update_every": 50, "absorbing": "analytic"}
+    changes = {"env_id": HOPPER, "train_every": 50, "absorbing": "analytic"}
     config = tiny.change(**changes, reward=reward, reward_scale=2.0)
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER))
     until(trainer, lambda t: t.trained == 50)

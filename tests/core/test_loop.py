@@ -19,7 +19,7 @@ from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
 
 HOPPER, MAZE = "Hopper-v5", "offairl/PointMazeLeft-v0"
-ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "train_every": 50, "replay_size": 50}
 run = partial(train, progress=False)
 
 
@@ -69,9 +69,9 @@ def test_same_seeds_same_run(tiny, maze):
     ("changes", "needed"),
     [
         ({}, False),
-        ({"loss": "exact"}, True),
+        ({"loss": "airl"}, True),
         ({"reward": "dac"}, True),
-        ({"reward": "implementation-3"}, True),
+        ({"reward": "r-sa"}, True),
     ],
     ids=["recipe", "exact", "dac", "r(s, a)"],
 )
@@ -80,8 +80,8 @@ def test_only_the_recipe_does_without_the_demonstrated_actions(
     tiny, random_demonstrations, env_id, changes, needed
 ):
     """Whoever has recorded observations alone may write zeros."""
-    ends = {"absorbing": "bootstrap", "update_every": 100} if env_id == HOPPER else {}
-    released = {"loss": "released", "reward": "implementation-4"}
+    ends = {"absorbing": "bootstrap", "train_every": 100} if env_id == HOPPER else {}
+    released = {"loss": "log-ratio", "reward": "r-s"}
     config = tiny.change(env_id=env_id, **ends, **{**released, **changes})
     shown = random_demonstrations(env_id)
     zeros = torch.zeros_like(shown.transitions.pre_tanh)
@@ -117,8 +117,8 @@ def test_a_run_can_be_ended_early_with_what_is_there(tiny, maze):
     "changes",
     [
         {"temperature": None},
-        {**ON_POLICY, "reward": "implementation-2"},
-        {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
+        {**ON_POLICY, "reward": "logit-s"},
+        {**ON_POLICY, "reward": "gan-gcl", "train_every": 100, "replay_size": 100},
     ],
     ids=["sac", "ppo", "gan-gcl"],
 )
@@ -140,7 +140,7 @@ def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
 @pytest.mark.parametrize("absorbing", ["none", "bootstrap", "analytic"])
 def test_a_member_trains_alone_where_episodes_end(tiny, random_demonstrations, absorbing):
     shown = random_demonstrations(HOPPER)
-    config = tiny.change(env_id=HOPPER, temperature=None, update_every=50, absorbing=absorbing)
+    config = tiny.change(env_id=HOPPER, temperature=None, train_every=50, absorbing=absorbing)
     together, alone = (run(config, seeds, shown) for seeds in ((1, 3, 7), (3,)))
     assert together.rows[-1].episodes > 5
     torch.testing.assert_close(together.policy.params[1:2], alone.policy.params, rtol=0, atol=1e-3)
@@ -160,18 +160,18 @@ def test_seeds_may_be_an_array(tiny, maze):
 
 
 def test_blocks_of_an_episode_s_length_are_the_ends_of_episodes(tiny, maze):
-    assert_same(run(tiny, (0, 1), maze), run(tiny.change(update_every=100), (0, 1), maze))
+    assert_same(run(tiny, (0, 1), maze), run(tiny.change(train_every=100), (0, 1), maze))
 
 
 def test_another_block_length_is_another_run(tiny, maze):
-    one, other = run(tiny, (0,), maze), run(tiny.change(update_every=50), (0,), maze)
+    one, other = run(tiny, (0,), maze), run(tiny.change(train_every=50), (0,), maze)
     assert not torch.equal(one.policy.params, other.policy.params)
 
 
 def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_up(
     tiny, maze, record
 ):
-    config = tiny.change(total_steps=400, warmup_steps=250, eval_every=50)
+    config = tiny.change(total_steps=400, learning_starts=250, eval_every=50)
     updates, trainer = record(SAC, "update"), Trainer(config, (0, 1), maze)
     done = [(rows[0].step, trainer.trained, len(updates)) for rows in trainer.run() if rows]
     assert done == [(250, 200, 200), (300, 300, 300), (350, 300, 300), (400, 400, 400)]
@@ -179,7 +179,7 @@ def test_as_many_updates_as_steps_after_each_episode_those_of_the_warm_up_made_u
 
 
 def test_a_run_pauses_after_each_block_and_each_evaluation(tiny, maze):
-    trainer = Trainer(tiny.change(total_steps=300, warmup_steps=200), (0, 1), maze)
+    trainer = Trainer(tiny.change(total_steps=300, learning_starts=200), (0, 1), maze)
     pauses = [(trainer.steps, trainer.trained, len(rows)) for rows in trainer.run()]
     warm_up, made_up = [(100, 0, 0), (200, 0, 0)], [(200, 100, 0), (200, 200, 0)]
     assert pauses == [*warm_up, *made_up, (200, 200, 2), (300, 300, 0), (300, 300, 2)]
@@ -218,7 +218,7 @@ def test_ppo_updates_so_many_epochs_of_minibatches_and_the_discriminator_as_told
 
 def test_ppo_learns_from_each_block_once_and_never_from_the_warm_up(tiny, record):
     seen = record(PPO, "rollout")
-    config = tiny.change(reward="environment", **ON_POLICY, warmup_steps=70, total_steps=200)
+    config = tiny.change(reward="environment", **ON_POLICY, learning_starts=70, total_steps=200)
     trainer = Trainer(config.change(replay_size=1000, normalise=False), (0, 1))
     finish(trainer)
     blocks = [block for (block,) in seen]
@@ -239,10 +239,10 @@ def test_members_that_end_at_different_times_train_in_blocks(
     updates = record({"sac": SAC, "td3": TD3}[learner], "update")
     config = tiny.change(
         env_id=HOPPER,
-        update_every=50,
+        train_every=50,
         absorbing=mode,
         learner=learner,
-        reward="implementation-1" if learner == "sac" else "dac",
+        reward="logit-sa" if learner == "sac" else "dac",
     )
     trainer = Trainer(config, (0, 1), random_demonstrations(HOPPER, episodes=5))
     rows = [row for both in finish(trainer) for row in both]
@@ -264,12 +264,12 @@ def test_members_that_end_at_different_times_train_in_blocks(
 
 def test_without_blocks_members_must_end_together(tiny):
     config = tiny.change(env_id=HOPPER, reward="environment")
-    with pytest.raises(ValueError, match=r"different times.*update_every"):
+    with pytest.raises(ValueError, match=r"different times.*train_every"):
         run(config, (0, 1))
 
 
 def test_where_nothing_was_trained_it_is_said(tiny):
-    config = tiny.change(reward="environment", total_steps=90, warmup_steps=50, update_every=None)
+    config = tiny.change(reward="environment", total_steps=90, learning_starts=50, train_every=None)
     with pytest.warns(UserWarning, match=r"nothing was trained: .* step 50, .* and step 90; raise"):
         run(config, (3,))
 
@@ -280,16 +280,16 @@ def test_where_nothing_was_trained_it_is_said(tiny):
 @pytest.mark.parametrize(
     "change",
     [
-        {"reward": "implementation-1"},
-        {"reward": "implementation-2", "learner": "sac-released"},
-        {"reward": "implementation-3"},
+        {"reward": "logit-sa"},
+        {"reward": "logit-s", "learner": "sac-released"},
+        {"reward": "r-sa"},
         {"reward": "dac", "learner": "td3"},
         {"reward": "dac"},
         {"reward": "gail-survival"},
         {"reward": "gail-termination", "learner": "td3"},
         {"reward": "gail-survival", **ON_POLICY},
-        {"reward": "implementation-4", **ON_POLICY, "discriminator_updates": 5},
-        {"warmup_hold": 5.0, "temperature": None},
+        {"reward": "r-s", **ON_POLICY, "discriminator_updates": 5},
+        {"random_hold": 5.0, "temperature": None},
     ],
     ids=str,
 )
@@ -307,7 +307,7 @@ def test_every_variant_trains_and_evaluates(tiny, maze, change):
 
 def test_the_released_preset_trains(tiny, maze):
     config = RELEASE.change(
-        total_steps=200, warmup_steps=100, batch_size=8, hidden=(8,), eval_episodes=2
+        total_steps=200, learning_starts=100, batch_size=8, hidden=(8,), eval_episodes=2
     )
     config = config.change(reward_hidden=(8,), shaping_hidden=(8,))
     assert np.isfinite(run(config, (0,), maze).returns).all()
@@ -425,8 +425,8 @@ def test_an_action_that_is_no_number_is_noticed_before_it_is_taken(tiny, monkeyp
 def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
     tiny, tmp_path, earlier_policy, until, steps, trained
 ):
-    config = tiny.change(reward="environment", update_every=31, eval_every=20)
-    config = config.change(warmup_hold=5.0, start_steps=40)
+    config = tiny.change(reward="environment", train_every=31, eval_every=20)
+    config = config.change(random_hold=5.0, guide_steps=40)
 
     def trainer():
         guide, path = earlier_policy(config, 2), tmp_path / "replay"
@@ -450,12 +450,12 @@ def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
     "changes",
     [
         {"temperature": None},
-        {"env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap", "replay_size": 60},
-        {"env_id": HOPPER, "update_every": 30, "absorbing": "analytic", "reward": "dac"},
-        {"env_id": "Pendulum-v1", "reward": "environment", "learner": "td3", "update_every": 40},
+        {"env_id": HOPPER, "train_every": 30, "absorbing": "bootstrap", "replay_size": 60},
+        {"env_id": HOPPER, "train_every": 30, "absorbing": "analytic", "reward": "dac"},
+        {"env_id": "Pendulum-v1", "reward": "environment", "learner": "td3", "train_every": 40},
         {**ON_POLICY, "env_id": HOPPER, "reward": "gail-survival"},
-        {**ON_POLICY, "reward": "gan-gcl", "update_every": 100, "replay_size": 100},
-        {"reward": "sqil", "env_id": HOPPER, "update_every": 30, "absorbing": "bootstrap"},
+        {**ON_POLICY, "reward": "gan-gcl", "train_every": 100, "replay_size": 100},
+        {"reward": "sqil", "env_id": HOPPER, "train_every": 30, "absorbing": "bootstrap"},
         {"reward": "iq-learn", "temperature": None},
     ],
     ids=["maze", "bootstrap", "analytic", "td3", "ppo", "gan-gcl", "sqil", "iq-learn"],
@@ -492,7 +492,7 @@ def test_a_run_that_is_put_back_goes_the_same_way(
 
 
 def test_every_pause_is_a_place_to_go_on_from(tiny, maze, tmp_path):
-    config = tiny.change(total_steps=120, warmup_steps=60, update_every=20, eval_every=30)
+    config = tiny.change(total_steps=120, learning_starts=60, train_every=20, eval_every=30)
 
     def trainer():
         return Trainer(config, (0,), maze, replay_file=tmp_path / "replay", memory=200)

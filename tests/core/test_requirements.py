@@ -9,7 +9,7 @@ from offairl_lite.core.loop import Trainer, train
 from offairl_lite.demonstrations import Demonstrations
 
 HOPPER = "Hopper-v5"
-ON_POLICY = {"learner": "ppo", "update_every": 50, "replay_size": 50}
+ON_POLICY = {"learner": "ppo", "train_every": 50, "replay_size": 50}
 MCP = {"primitives": 3, "trunk_hidden": (8,), "primitive_hidden": (6,), "gate_hidden": (8,)}
 run = partial(train, progress=False)
 
@@ -31,7 +31,7 @@ def test_an_unknown_task_is_refused(tiny):
 
 
 def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
-    with pytest.raises(ValueError, match="'implementation-4' is learned from demonstrations"):
+    with pytest.raises(ValueError, match="'r-s' is learned from demonstrations"):
         Trainer(tiny, (0,))
     right = tiny.change(env_id="offairl/PointMazeRight-v0")
     with pytest.raises(ValueError, match=r"demonstrations of .*Left-v0 for a run on .*Right-v0"):
@@ -48,7 +48,7 @@ def test_gan_gcl_is_for_episodes_of_one_length(tiny, maze, random_demonstrations
     # Demonstrations that are all of one length, on a task where ours are not.
     pendulum = random_demonstrations("Pendulum-v1")
     short = Demonstrations("Pendulum-v1", pendulum.transitions, (100,) * 4)
-    config = config.change(env_id="Pendulum-v1", update_every=100, replay_size=100)
+    config = config.change(env_id="Pendulum-v1", train_every=100, replay_size=100)
     with pytest.raises(ValueError, match=r"100 as demonstrated, and Pendulum-v1 has ended"):
         run(config, (0,), short)
 
@@ -99,8 +99,8 @@ def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, 
     [
         ({"pretrained": "policy"}, (), "pretrained='policy' and a pretrained policy"),
         ({}, ("pretrained_policy",), "pretrained='nothing' and a pretrained policy"),
-        ({"start_steps": 5}, (), "start_steps=5 and a guide"),
-        ({}, ("guide",), "start_steps=0 and a guide"),
+        ({"guide_steps": 5}, (), "guide_steps=5 and a guide"),
+        ({}, ("guide",), "guide_steps=0 and a guide"),
     ],
 )
 def test_what_comes_from_other_runs_is_needed_and_not_more(
@@ -117,6 +117,6 @@ def test_policies_must_be_as_many_and_of_the_architecture(tiny, maze, earlier_po
         Trainer(config, range(2), pretrained_policy=earlier_policy(config, 3))
     with pytest.raises(ValueError, match=r"is a SquashedGaussian\(.*MultiplicativeGaussian\("):
         Trainer(config.change(**MCP), range(2), pretrained_policy=earlier_policy(config, 2))
-    seeing = config.change(pretrained="nothing", start_steps=5, reward="dac", absorbing="bootstrap")
+    seeing = config.change(pretrained="nothing", guide_steps=5, reward="dac", absorbing="bootstrap")
     with pytest.raises(ValueError, match="sees 3 numbers and gives 2; this run has 4 and 2"):
         Trainer(seeing, range(2), maze, guide=earlier_policy(config, 2))

@@ -22,7 +22,7 @@ def test_rows_are_of_their_member_s_own_episodes(tiny, frozen_reward):
     reward = frozen_reward(2, HOPPER, 11)
     reward.params.zero_()
     reward.params[:, reward.net.num_params - 5] = torch.tensor([1.0, 2.0])
-    config = tiny.change(env_id=HOPPER, update_every=50, reward="frozen", eval_episodes=5)
+    config = tiny.change(env_id=HOPPER, train_every=50, reward="frozen", eval_episodes=5)
     result = run(config, (3, 7), None, reward)
     episodes = rollout(result.policy, HOPPER, (3, 7), 5)
     assert len(np.unique(episodes.lengths)) > 1

@@ -20,11 +20,11 @@ def retrain(trainer, reward, updates):
 
 
 def test_retraining_is_plain_sac(tiny, frozen_reward):
-    config = tiny.change(reward="frozen", total_steps=300, warmup_steps=200, batch_size=16)
+    config = tiny.change(reward="frozen", total_steps=300, learning_starts=200, batch_size=16)
     reward = frozen_reward(1)
     by_hand, package = (Trainer(config, (0,), frozen_reward=reward) for _ in range(2))
     for trainer in (by_hand, package):
-        for _ in range(config.schedule.warmup_steps):
+        for _ in range(config.schedule.learning_starts):
             trainer.collector.step(explore=None)
         trainer.start()
     retrain(by_hand, reward, 20)

@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from offairl_lite.config import CORRECTED
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.rewards import (
     IMPLEMENTATIONS,
@@ -24,7 +25,8 @@ D = torch.sigmoid(LOGIT)
     [(1, False, True), (2, True, True), (3, False, False), (4, True, False)],
 )
 def test_the_paper_s_implementations(number, state_only, reward_is_logit):
-    assert IMPLEMENTATIONS[f"implementation-{number}"] == (state_only, reward_is_logit)
+    reward = CORRECTED.change(reward=f"implementation-{number}").reward
+    assert IMPLEMENTATIONS[reward] == (state_only, reward_is_logit)
 
 
 def test_there_are_four():

@@ -48,7 +48,7 @@ def make(learner=SAC, seeds=(0, 1), absorbing="none", settings=None, **changes):
 
 def make_trainer(seeds=(0, 1), **changes):
     """A run at the end of a warm-up that is no longer than the batch."""
-    changes = {"reward": "environment", "warmup_steps": B, "hidden": (8, 8), **changes}
+    changes = {"reward": "environment", "learning_starts": B, "hidden": (8, 8), **changes}
     trainer = Trainer(CORRECTED.change(learning_rate=RATE, **changes), seeds)
     for _ in range(B):
         trainer.collector.step(None)

@@ -54,7 +54,7 @@ def test_inputs_are_scaled_by_the_demonstrations_and_the_warm_up(tiny, maze, unt
 
 @pytest.mark.parametrize(("far", "warned"), [(1e7, True), (-2e5, True), (9e4, False)])
 def test_a_reading_that_would_scale_all_others_to_nothing_is_named(far, warned, tiny, until):
-    trainer = Trainer(tiny.change(reward="environment", update_every=50), (3, 7))
+    trainer = Trainer(tiny.change(reward="environment", train_every=50), (3, 7))
     until(trainer, lambda t: t.steps == 100)
     trainer.collector.replay.rows[41, 1, 2] = far
     with warnings.catch_warnings(record=True) as found:
@@ -70,7 +70,7 @@ def built(until):
 
     def build(config, **given):
         # The warm-up ends within an episode, where there is nothing to train on.
-        config = config.change(warmup_steps=90, eval_every=90)
+        config = config.change(learning_starts=90, eval_every=90)
         trainer = Trainer(config, range(2), **given)
         until(trainer, lambda t: t.started)
         assert (trainer.steps, trainer.trained) == (90, 0)

@@ -20,7 +20,7 @@ from offairl_lite.runs import cli, records
 
 MAZE, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 SMALL = (
-    "--seeds 0 1 --total-steps 100 --warmup-steps 50 --batch-size 8 --eval-every 100 "
+    "--seeds 0 1 --total-steps 100 --learning-starts 50 --batch-size 8 --eval-every 100 "
     "--eval-episodes 1 --hidden 8"
 )
 
@@ -42,12 +42,12 @@ ROWS = [
     # Settings: types.
     ("run maze-expert --temperature hot", "--temperature", "'hot'"),
     ("run maze-expert --discount x", "--discount", "'x'"),
-    ("run maze-expert --update-every 1.5", "--update-every", "'1.5'"),
+    ("run maze-expert --train-every 1.5", "--train-every", "'1.5'"),
     ("run maze-expert --total-steps 1e6", "--total-steps", "'1e6'"),
     ("run maze-expert --batch-size big", "--batch-size", "'big'"),
     ("run maze-expert --hidden 64x64", "--hidden", "64x64"),
     ("run maze-expert --learner dqn", "--learner", "'dqn'", "sac"),
-    ("run maze-imitation --reward happiness", "--reward", "'happiness'", "implementation-4"),
+    ("run maze-imitation --reward happiness", "--reward", "'happiness'", "r-s"),
     ("run maze-imitation --ablation two-sided", "--ablation", "'two-sided'", "one-sided"),
     ("run maze-imitation --absorbing yes", "--absorbing", "'yes'", "bootstrap"),
     ("run maze-imitation --loss hinge", "--loss", "'hinge'", "mixture"),
@@ -65,19 +65,23 @@ ROWS = [
     ("run maze-expert --temperature nan", "temperature is nan", "above 0"),
     ("run maze-expert --target-entropy nan", "target_entropy is nan", "a number"),
     ("run maze-expert --target-rate 1.5", "target_rate is 1.5", "in [0, 1]"),
-    ("run maze-expert --warmup-hold nan", "warmup_hold is nan", "at least 1"),
-    ("run maze-expert --warmup-hold inf", "warmup_hold is inf", "at least 1"),
-    ("run maze-expert --warmup-hold 0.5", "warmup_hold is 0.5", "at least 1"),
-    ("run maze-expert --warmup-steps 0", "warmup_steps is 0", "at least 1"),
-    ("run maze-expert --warmup-steps 17000", "warmup_steps is 17000", "lower warmup_steps"),
+    ("run maze-expert --random-hold nan", "random_hold is nan", "at least 1"),
+    ("run maze-expert --random-hold inf", "random_hold is inf", "at least 1"),
+    ("run maze-expert --random-hold 0.5", "random_hold is 0.5", "at least 1"),
+    ("run maze-expert --learning-starts 0", "learning_starts is 0", "at least 1"),
+    (
+        "run maze-expert --learning-starts 17000",
+        "learning_starts is 17000",
+        "lower learning_starts",
+    ),
     ("run maze-expert --total-steps 0", "total_steps is 0", "at least 1"),
     ("run maze-expert --total-steps -5", "total_steps is -5", "at least 1"),
     ("run maze-expert --batch-size 0", "batch_size is 0", "at least 1"),
     ("run maze-expert --replay-size 0", "replay_size is 0", "at least 1"),
     ("run maze-expert --eval-every 0", "eval_every is 0", "at least 1"),
     ("run maze-expert --eval-episodes 0", "eval_episodes is 0", "at least 1"),
-    ("run maze-expert --update-every 0", "update_every is 0", "at least 1"),
-    ("run maze-expert --update-every 99999", "update_every is 99999", "lower update_every"),
+    ("run maze-expert --train-every 0", "train_every is 0", "at least 1"),
+    ("run maze-expert --train-every 99999", "train_every is 99999", "lower train_every"),
     ("run maze-expert --hidden 8 0", "hidden is (8, 0)", "at least 1"),
     ("run maze-expert --hidden -1", "hidden is (-1,)", "at least 1"),
     ("run maze-expert --primitives 0", "primitives is 0", "at least 1"),
@@ -91,11 +95,11 @@ ROWS = [
     ("run maze-imitation --reward-sees 9", "reward_sees is (9,)", "indices from 0 to 2"),
     ("run maze-imitation --discriminator-updates 0", "discriminator_updates is 0", "at least 1"),
     ("run maze-imitation --discriminator-discount 2", "discriminator_discount is 2.0", "[0, 1]"),
-    ("run maze-imitation --start-steps -10", "start_steps is -10", "at least 0"),
-    ("run maze-imitation --start-steps 99999", "start_steps is 99999", "warmup_steps"),
+    ("run maze-imitation --guide-steps -10", "guide_steps is -10", "at least 0"),
+    ("run maze-imitation --guide-steps 99999", "guide_steps is 99999", "learning_starts"),
     # Settings that do not go together.
     ("run maze-imitation --learner td3", "needs log π", "use learner='sac'"),
-    ("run maze-imitation --learner ppo --temperature 1", "update_every is None", "set it"),
+    ("run maze-imitation --learner ppo --temperature 1", "train_every is None", "set it"),
     ("run maze-imitation --reward gan-gcl", "gan-gcl", "learner='ppo'"),
     ("run maze-expert --absorbing bootstrap", "absorbing='bootstrap'", "set absorbing='none'"),
     ("run maze-imitation --no-log-prob-in-reward", "log_prob_in_reward=False", "it is for"),
@@ -212,13 +216,13 @@ ROWS = [
     # Policies and rewards of other runs.
     ("run maze-transfer", "first `offairl run maze-imitation`", "--frozen-reward"),
     ("run maze-expert --reward frozen", "a frozen reward of another run is needed", "RUN/reward"),
-    ("run maze-expert --start-steps 9", "a guide of another run is needed", "--guide RUN/policy"),
+    ("run maze-expert --guide-steps 9", "a guide of another run is needed", "--guide RUN/policy"),
     ("run maze-expert --pretrained policy", "pretrained policy of another run", "RUN/policy"),
     ("run maze-transfer --frozen-reward no.safetensors", "no reward at no.safetensors"),
     ("run maze-transfer --frozen-reward file", "file", "safetensors"),
     ("run maze-transfer --frozen-reward mine/policy.safetensors", "holds 'policy', not a reward"),
     ("run maze-transfer --frozen-reward reward.safetensors", "2 ", "seeds", "--seeds 0 1"),
-    ("run maze-expert --guide done", "--guide done would not be used", "--start-steps 50"),
+    ("run maze-expert --guide done", "--guide done would not be used", "--guide-steps 50"),
     ("run maze-expert --frozen-reward done", "--frozen-reward done would not be used"),
     (f"run maze-expert {SMALL} --pretrained policy --pretrained-policy mine", "1", "2"),
     # Exports.
@@ -322,7 +326,7 @@ def test_a_command_that_makes_no_sense_is_answered(line, words, place, capsys):
 
 def test_a_reward_of_another_task_is_taken_with_a_note(place, capsys):
     line = (
-        f"run imitate --reward frozen --frozen-reward reward.safetensors {SMALL} --update-every 50"
+        f"run imitate --reward frozen --frozen-reward reward.safetensors {SMALL} --train-every 50"
     )
     for env_id, noted in ((MAZE, False), (RIGHT, True)):
         cli.main([*line.split(), "--prepare", "--env-id", env_id, "--out", f"noted-{noted}"])

@@ -162,10 +162,10 @@ PRIMITIVES = {"primitives": 2, **LAYERS}
 @pytest.mark.parametrize(
     "changes",
     [
-        {"reward": "implementation-2"},
-        {"reward": "frozen", "pretrained": "primitives", "start_steps": 20, **PRIMITIVES},
+        {"reward": "logit-s"},
+        {"reward": "frozen", "pretrained": "primitives", "guide_steps": 20, **PRIMITIVES},
         {"reward": "frozen", "env_id": "Hopper-v5", "absorbing": "bootstrap"},
-        {"learner": "ppo", "update_every": 40, "reward": "gail-survival"},
+        {"learner": "ppo", "train_every": 40, "reward": "gail-survival"},
         {"env_id": "Hopper-v5", "absorbing": "bootstrap"},
     ],
 )
@@ -173,7 +173,7 @@ def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monk
     config = tiny.change(**changes)
     # A clock that goes on by a second whenever it is looked at.
     monkeypatch.setattr(time, "perf_counter", count().__next__)
-    every = changes.get("update_every", 20)
+    every = changes.get("train_every", 20)
     schedule = config.schedule
     evaluations = schedule.total_steps / schedule.eval_every
     seconds = schedule.total_steps / every + schedule.eval_episodes * evaluations

@@ -34,7 +34,7 @@ from offairl_lite.runs.grid import docstrings
 from offairl_lite.runs.records import RunSpec, read, read_json, run_folders, write_json
 
 SMALL = (
-    "--seeds 0 1 --total-steps 200 --warmup-steps 100 --batch-size 8 --eval-every 100 "
+    "--seeds 0 1 --total-steps 200 --learning-starts 100 --batch-size 8 --eval-every 100 "
     "--eval-episodes 2 --hidden 8"
 )
 LEARNED = f"{SMALL} --reward-hidden 8 --shaping-hidden 8"
@@ -186,7 +186,7 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert (run.seeds, run.steps.tolist()) == ((0, 1), [100, 200])
     assert (run.config.schedule.batch_size, run.config.learner.hidden) == (8, (8,))
     # What was not asked for is the experiment's own.
-    assert (run.config.learner.temperature, run.config.schedule.warmup_hold) == (None, 10.0)
+    assert (run.config.learner.temperature, run.config.schedule.random_hold) == (None, 10.0)
     assert json.loads((folder / "run.json").read_text())["state"] == "finished"
     out = capsys.readouterr().out
     assert "takes up to 16.8 MB of disk, mostly replay; updates: not compiled" in out
@@ -200,10 +200,10 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert torch.equal(transfer.reward.params, run.reward.params)
 
     policy, guide = folder / "policy.safetensors", EXPERTS / "PointMazeRight.safetensors"
-    given = f"--frozen-reward {reward} --start-steps 20"
+    given = f"--frozen-reward {reward} --guide-steps 20"
     given += f" --pretrained policy --pretrained-policy {policy}"
     offairl(f"run maze-transfer {given} --guide {guide} --out carried {SMALL}")
-    assert read(elsewhere / "carried").config.schedule.start_steps == 20
+    assert read(elsewhere / "carried").config.schedule.guide_steps == 20
     sources = RunSpec.read(elsewhere / "carried").inherited
     files = {name: about["files"] for name, about in sources.items()}
     assert files == dict(
@@ -270,11 +270,11 @@ def test_a_task_and_data_of_one_s_own(capsys, write_dataset, elsewhere):
     write_dataset("my/pendulum-v0")
     offairl(
         "run imitate --env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 "
-        f"--update-every 50 --out mine {LEARNED}"
+        f"--train-every 50 --out mine {LEARNED}"
     )
     run = read(elsewhere / "mine")
     assert run.config.env_id == run.policy.env_id == "Pendulum-v1"
-    assert (run.config.schedule.update_every, len(run.rows)) == (50, 4)
+    assert (run.config.schedule.train_every, len(run.rows)) == (50, 4)
 
 
 def test_the_scale_decides_the_defaults(capsys, monkeypatch):
@@ -337,13 +337,40 @@ def test_a_reader_of_the_list_may_stop_reading():
     assert listing.communicate()[1] == b""
 
 
+def test_earlier_names_of_options_are_understood():
+    args = [
+        "run",
+        "imitate",
+        "--reward",
+        "r(s,a)",
+        "--warmup_steps=9",
+        "--update-every",
+        "5",
+        "--loss=exact",
+    ]
+    now = [
+        "run",
+        "imitate",
+        "--reward",
+        "r-sa",
+        "--learning_starts",
+        "9",
+        "--train_every",
+        "5",
+        "--loss",
+        "airl",
+    ]
+    assert cli.in_current_words(args) == cli.in_current_words(now) == now
+    assert cli.in_current_words(["--out", "exact"]) == ["--out", "exact"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ("--discount 2", "discount is 2.0; expected a number in [0, 1]"),
         ("--hidden 8 0", "hidden is (8, 0); expected a tuple, each part a whole"),
         ("--no-log-prob-in-reward", "log_prob_in_reward=False, and rew"),
-        ("--learner td3", "reward 'implementation-4' needs log π, and td3's"),
+        ("--learner td3", "reward 'r-s' needs log π, and td3's"),
         (
             "--learner td3 --reward dac --temperature 0.2 --seeds 0",
             "temperature has no use with learner='td3', reward='dac': leave it out",
@@ -363,7 +390,7 @@ def test_a_value_that_makes_no_sense_is_explained(options, message, capsys, else
     ("options", "message"),
     [
         ("--temperature hot", "could not convert string to float: 'hot'"),
-        ("--update-every 1.5", "invalid literal for int() with base 10: '1.5'"),
+        ("--train-every 1.5", "invalid literal for int() with base 10: '1.5'"),
         ("--ablation two-sided", "invalid choice 'two-sided' for argument '--ablation'"),
     ],
 )
@@ -409,9 +436,9 @@ def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
     assert of("maze-imitation --learner td3 --reward dac") == {
         "": base.change(learner="td3", reward="dac")
     }
-    options = "--loss released --temperature None --hidden 8 8 --no-normalise --update-every 50"
-    changed = {"loss": "released", "temperature": None, "hidden": (8, 8), "normalise": False}
-    assert of(f"maze-imitation {options}") == {"": base.change(**changed, update_every=50)}
+    options = "--loss released --temperature None --hidden 8 8 --no-normalise --train-every 50"
+    changed = {"loss": "log-ratio", "temperature": None, "hidden": (8, 8), "normalise": False}
+    assert of(f"maze-imitation {options}") == {"": base.change(**changed, train_every=50)}
     assert of("maze-imitation --ablation bottleneck --bottleneck 0.1") == {
         "": base.change(ablation="bottleneck", bottleneck=0.1)
     }
@@ -444,7 +471,7 @@ def test_a_folder_in_use_is_left_alone(capsys, elsewhere):
 
 def test_a_run_is_resumed_and_extended(capsys, elsewhere, monkeypatch, write_dataset):
     write_dataset("my/pendulum-v0")
-    task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --update-every 50"
+    task = "--env-id Pendulum-v1 --dataset my/pendulum-v0 --trajectories 2 --train-every 50"
     offairl(f"run imitate --out whole {task} {LEARNED}")
     step = Collector.step
 
@@ -550,7 +577,7 @@ gymnasium.register("Heavy-v0", entry_point=Arm, kwargs={"mass": 3}, max_episode_
 def test_a_task_of_one_s_own_from_a_module_to_its_transfer(capsys, elsewhere, monkeypatch):
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
     (elsewhere / "arm.py").write_text(ARM)
-    small, net = f"{SMALL} --update-every 50", StackedMLP((3, 4, 1))
+    small, net = f"{SMALL} --train-every 50", StackedMLP((3, 4, 1))
     try:
         offairl(f"run imitate --reward environment --env-id arm:Arm-v0 {small} --out one")
         assert RunSpec.read("one").config.env_id == "arm:Arm-v0"
@@ -580,7 +607,7 @@ def arm_folder(elsewhere, monkeypatch):
     """A run on a task of a module of one's own, at its end; the module is forgotten."""
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
     (elsewhere / "arm.py").write_text(ARM)
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     offairl(f"{line} --out one")
     forget_arm()
     yield Path("one")
@@ -626,7 +653,7 @@ def test_nor_is_it_for_python(arm_folder):
 
 
 def test_what_a_command_names_its_processes_import(arm_folder, capsys):
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     offairl(f"{line} --out both --processes 2 --prepare")
     forget_arm()
     assert "--env-id arm:Arm-v0`" in failure("resume both --processes 2", capsys)
@@ -641,7 +668,7 @@ def test_watching_names_the_task_as_well(arm_folder, capsys):
 
 
 def test_what_has_no_policy_yet_names_the_task_as_well(arm_folder, capsys):
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     offairl(f"{line} --out begun --prepare")
     told = "has no policy.safetensors, .*: `offairl resume begun --env-id arm:Arm-v0` goes on"
     for command in ("watch begun", "export begun --out robot"):
@@ -658,7 +685,7 @@ def test_what_has_no_policy_yet_names_the_task_as_well(arm_folder, capsys):
 )
 def test_a_task_that_cannot_be_played_again_is_noted(drawn, elsewhere_drawn, arm_folder, capsys):
     Path("arm.py").write_text(Path("arm.py").read_text().replace(drawn, elsewhere_drawn))
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     assert "played again" not in capsys.readouterr().err
     offairl(f"{line} --out noisy --prepare")
     said = capsys.readouterr().err
@@ -675,14 +702,14 @@ def test_a_film_plays_as_fast_as_the_task(shipped_experts, capsys, monkeypatch):
 
 
 def test_a_longer_run_is_told_to_extend(arm_folder, capsys):
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     said = failure(f"{line} --out one --total-steps 400", capsys)
     assert "200, not 400: `offairl resume --steps 400 one --env-id arm:Arm-v0` extends it" in said
 
 
 def test_a_task_without_a_time_limit_is_noted(arm_folder, capsys):
     Path("arm.py").write_text(Path("arm.py").read_text().replace(", max_episode_steps=20", ""))
-    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --update-every 50"
+    line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
     capsys.readouterr()
     offairl(f"{line} --out endless --prepare")
     said = capsys.readouterr().err
@@ -723,7 +750,7 @@ def test_processes_share_the_seeds(capsys, elsewhere):
 
 def test_what_is_given_of_other_runs_is_shared_out_with_the_seeds(elsewhere):
     offairl(f"run maze-expert --out one {SMALL}")
-    given = "--pretrained policy --pretrained-policy one --start-steps 20 --guide one"
+    given = "--pretrained policy --pretrained-policy one --guide-steps 20 --guide one"
     offairl(f"run maze-expert --out both {SMALL} {given} --processes 2 --prepare")
     params = read("one").policy.params
     for i, path in enumerate(run_folders("both")):

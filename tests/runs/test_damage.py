@@ -42,8 +42,8 @@ class Troubled(Arm):
 
 @pytest.fixture
 def plain(tiny):
-    config = tiny.change(reward="environment", update_every=20, eval_episodes=1)
-    return config.change(total_steps=100, warmup_steps=40, eval_every=25)
+    config = tiny.change(reward="environment", train_every=20, eval_episodes=1)
+    return config.change(total_steps=100, learning_starts=40, eval_every=25)
 
 
 @pytest.fixture

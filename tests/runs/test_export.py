@@ -20,13 +20,13 @@ from offairl_lite.runs.folders import work
 from offairl_lite.runs.inputs import load_one
 from offairl_lite.runs.records import read_json, write_json
 
-SHORT = {"update_every": 20, "total_steps": 40, "warmup_steps": 20, "eval_every": 40}
+SHORT = {"train_every": 20, "total_steps": 40, "learning_starts": 20, "eval_every": 40}
 SMALL = {"trunk_hidden": (8,), "primitive_hidden": (8,), "gate_hidden": (8,)}
 CASES = {
     "sac": {},
     "td3": {"learner": "td3", "reward": "dac"},
     "sac-mcp": {"primitives": 2, **SMALL},
-    "state-action": {"reward": "implementation-3"},
+    "state-action": {"reward": "r-sa"},
     "absorbing": {"absorbing": "bootstrap"},
 }
 ROWS = 1_000
@@ -104,7 +104,7 @@ def test_onnx_runtime_does_the_same(case, finished, tmp_path, capfd):
 
 
 def test_the_text_beside_the_files_loads_them(finished, tmp_path, monkeypatch, capsys):
-    folder = finished(reward="implementation-3")
+    folder = finished(reward="r-sa")
     cli.main(["export", str(folder), "--out", str(tmp_path / "out")])
     assert "how to load it" in capsys.readouterr().out
     monkeypatch.chdir(tmp_path / "out")

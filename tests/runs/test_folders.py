@@ -53,8 +53,8 @@ PROCESSES.set_forkserver_preload(["offairl_lite.runs.folders"])
 @pytest.fixture
 def plain(tiny):
     """SAC on the true reward: the fastest run there is."""
-    config = tiny.change(reward="environment", update_every=20, eval_episodes=1)
-    return config.change(total_steps=100, warmup_steps=40, eval_every=50)
+    config = tiny.change(reward="environment", train_every=20, eval_episodes=1)
+    return config.change(total_steps=100, learning_starts=40, eval_every=50)
 
 
 @pytest.fixture
@@ -203,16 +203,16 @@ def given(tmp_path, random_demonstrations):
     return make
 
 
-HOP = {"env_id": HOPPER, "update_every": 50, "replay_size": 60}
+HOP = {"env_id": HOPPER, "train_every": 50, "replay_size": 60}
 KILLED = {
     "sac": {"reward": "environment"},
     "td3 and dac": {"reward": "dac", "learner": "td3", "replay_size": 60},
-    "airl and a learned temperature": {"reward": "implementation-4", "temperature": None},
+    "airl and a learned temperature": {"reward": "r-s", "temperature": None},
     "no absorbing state": {**HOP, "reward": "dac", "learner": "td3"},
-    "bootstrapped": {**HOP, "reward": "implementation-1", "absorbing": "bootstrap"},
+    "bootstrapped": {**HOP, "reward": "logit-sa", "absorbing": "bootstrap"},
     "analytic": {**HOP, "reward": "dac", "absorbing": "analytic", "temperature": None},
-    "pendulum": {"env_id": "Pendulum-v1", "reward": "environment", "update_every": 50},
-    "all from other runs": {"reward": "frozen", "pretrained": "primitives", "start_steps": 30}
+    "pendulum": {"env_id": "Pendulum-v1", "reward": "environment", "train_every": 50},
+    "all from other runs": {"reward": "frozen", "pretrained": "primitives", "guide_steps": 30}
     | {"primitives": 2, "trunk_hidden": (8,), "primitive_hidden": (), "gate_hidden": (8,)},
     "gail and ppo": {**HOP, "reward": "gail-survival", "learner": "ppo"},
     "sqil": {**HOP, "reward": "sqil", "absorbing": "bootstrap"},
@@ -271,13 +271,13 @@ CHOICES = {
     "learner": ["sac", "td3", "ppo", "sac-released"],
     "ablation": [None, None, *filter(None, kinds(DiscriminatorConfig))],
     "absorbing": ["none", "bootstrap", "analytic"],
-    "loss": ["exact", "mixture", "released"],
+    "loss": ["airl", "airl-mixture", "log-ratio"],
     "temperature": [None, 0.2, 1.0],
     "primitives": [None, None, 2],
-    "update_every": [None, 20, 50, 63],
+    "train_every": [None, 20, 50, 63],
     "replay_size": [10**6, 63, 150],
-    "warmup_steps": [60, 100, 133],
-    "warmup_hold": [1.0, 7.0],
+    "learning_starts": [60, 100, 133],
+    "random_hold": [1.0, 7.0],
     "eval_every": [30, 100],
     "total_steps": [200, 300, 431],
     "normalise": [True, False],
@@ -292,7 +292,7 @@ def draw(tiny, rng, demonstrations):
     while rng.random() > 0.1:
         flat = {name: some[rng.integers(len(some))] for name, some in CHOICES.items()} | SMALL
         used = used_settings(flat)
-        if flat["update_every"] is None and flat["env_id"] in (HOPPER, "Walker2d-v5"):
+        if flat["train_every"] is None and flat["env_id"] in (HOPPER, "Walker2d-v5"):
             continue  # Their episodes have no common end.
         try:
             config = tiny.change(**{name: flat[name] for name in used & flat.keys()})
@@ -534,7 +534,7 @@ def inherited(config):
 
 
 def test_policies_of_other_runs_are_kept_and_must_stay(plain, tmp_path):
-    config = plain.change(pretrained="policy", start_steps=20)
+    config = plain.change(pretrained="policy", guide_steps=20)
     folder, given = tmp_path / "run", {"pretrained_policy": policy(plain), "guide": policy(plain)}
     create(folder, config, SEEDS, checkpoint_every=40, **given)
     resume(folder)
@@ -552,7 +552,7 @@ def test_a_run_from_before_a_field_existed_goes_on_with_its_default(plain, folde
     run(folder, plain)
     path = folder / "checkpoint" / "checkpoint.safetensors"
     state, about = load_weights(path, "checkpoint")
-    for name in ("pretrained", "start_steps"):
+    for name in ("pretrained", "guide_steps"):
         del about["identity"][name]
     del about["digest"]
     save_weights(path, state, {**about, "digest": inputs.digest(state, about)})
@@ -579,7 +579,7 @@ def test_guides_of_several_files_take_turns(plain, tmp_path):
     guides = policy(plain)
     for member in (0, 1):
         guides.member(member).save(tmp_path / str(member))
-    config = plain.change(start_steps=20)
+    config = plain.change(guide_steps=20)
     files = tmp_path / "1", tmp_path / "0"
     given = inputs.load(config, (3, 7, 5, 9, 2), guide=files)["guide"]
     assert torch.equal(given.params, guides.params[[1, 0, 1, 0, 1]])
@@ -1039,7 +1039,7 @@ def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrat
 
 
 def test_a_record_finds_what_it_had_of_other_runs_where_it_was(plain, folder, tmp_path):
-    config = plain.change(reward="frozen", pretrained="policy", start_steps=20)
+    config = plain.change(reward="frozen", pretrained="policy", guide_steps=20)
     sources = {name: (tmp_path / name,) for name in inputs.CURES}
     frozen_reward(2).save(*sources["frozen_reward"])
     policy(plain).save(*sources["pretrained_policy"])

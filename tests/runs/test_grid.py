@@ -5,10 +5,10 @@ from offairl_lite.runs.grid import grid
 
 
 def test_a_grid_is_the_product_of_its_values():
-    points = grid(CORRECTED, ["reward=implementation-3,dac", "temperature=0.1,none"])
+    points = grid(CORRECTED, ["reward=r-sa,dac", "temperature=0.1,none"])
     assert list(points) == [
-        "reward=implementation-3,temperature=0.1",
-        "reward=implementation-3,temperature=none",
+        "reward=r-sa,temperature=0.1",
+        "reward=r-sa,temperature=none",
         "reward=dac,temperature=0.1",
         "reward=dac,temperature=none",
     ]
@@ -24,11 +24,11 @@ def test_a_grid_is_the_product_of_its_values():
         ("log_std_range", (-5.0, 2.0), "-5.0x2.0"),
         ("learning_rate", 1e-05, "1e-05"),
         ("normalise", False, "false"),
-        ("update_every", None, "none"),
-        ("update_every", 1000, "1000"),
+        ("train_every", None, "none"),
+        ("train_every", 1000, "1000"),
         ("absorbing", "none", "none"),
         ("env_id", "Pendulum-v1", "Pendulum-v1"),
-        ("loss", "released", "released"),
+        ("loss", "released", "log-ratio"),
         ("ablation", "one-sided", "one-sided"),
         ("ablation", None, "none"),
         ("reward_sees", (0, 1), "0x1"),
@@ -60,7 +60,7 @@ def test_numbers_are_of_the_type_of_their_field():
         ("hidden=8;8", "hidden is '8;8'; expected a tuple, each part a whole number"),
         ("log_std_range=1x2x3", "log_std_range is '1x2x3'; expected 2 numbers"),
         ("reward=gail", "^reward is 'gail'; expected one of"),
-        ("learner=sac,td3", "^learner=td3: reward 'implementation-4' needs log π"),
+        ("learner=sac,td3", "^learner=td3: reward 'r-s' needs log π"),
         (
             "reward=dac learner=td3 temperature=0.1",
             "^reward=dac,learner=td3,temperature=0.1: temperature has no use with learner='td3'",

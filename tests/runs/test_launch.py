@@ -14,7 +14,7 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.runs import checkpoints, folders, jobs, launch
 from offairl_lite.runs.records import HEADER, RunSpec, read, read_json, write_json
 
-SMALL = "--seeds 0 3 --total-steps 200 --warmup-steps 100 --eval-every 100"
+SMALL = "--seeds 0 3 --total-steps 200 --learning-starts 100 --eval-every 100"
 
 # In the place of the worker: the step's return is ten times the temperature, plus the seed.
 WORK = """
