@@ -26,13 +26,15 @@ from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import bench, cli, launch, records
 
 ROOT = Path(__file__).parents[2]
-PAGE = "\n".join((ROOT / f"book/{name}.md").read_text() for name in ("recipe", "recipe_data"))
+RECIPES = ("recipe", *(f"recipe_{x}" for x in ("data", "settings", "working", "transfer")))
+PAGE = "\n".join((ROOT / f"book/{name}.md").read_text() for name in RECIPES)
 RECORDS = ROOT / "book/records"
 LARGE = RECORDS / "locomotion-full"
 COMMANDS = {
     "list": cli.list_experiments,
     "resume": launch.resume,
     "demos": cli.demos,
+    "clone": cli.clone,
     "watch": cli.watch,
     "tensorboard": cli.tensorboard,
     "export": cli.export,
@@ -115,6 +117,19 @@ def require_command(command):
 @pytest.mark.parametrize("command", [c for c in commands() if c != "offairl demos"])
 def test_commands_and_their_settings_exist(command):
     require_command(command)
+
+
+def test_the_first_page_is_short():
+    text = (ROOT / "book/recipe.md").read_text()
+    assert len(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split()) <= 900
+    assert text.index("| you have") < text.index("offairl run imitate") < 1_500
+
+
+def test_its_small_table_is_the_large_one():
+    rows = re.findall(r"(?m)^\| (Hopper|Walker2d|HalfCheetah|CustomAnt|Ant) \| (.*) \|$", PAGE)
+    for column, steps in enumerate((100_000, 500_000)):
+        medians = [cells.split(" | ")[column].split()[0] for _, cells in rows]
+        assert f"| {steps:,} steps | {' | '.join(medians)} |" in PAGE
 
 
 @pytest.mark.parametrize(
