@@ -104,8 +104,8 @@ def clone(
     at = torch.zeros(population, dtype=torch.long)  # where it was lowest
 
     def loss(rows: Tensor) -> PerMember:
-        shown = torch.arange(population).unsqueeze(1), rows
-        mean, _ = actor.distribution(optimizer.params, obs[shown])
+        index = torch.arange(population).unsqueeze(1), rows
+        mean, _ = actor.distribution(optimizer.params, obs[index])
         return cloning_loss(mean, pre_tanh[rows])
 
     for step in trange(1, steps + 1, desc="cloning", disable=not progress):

@@ -78,13 +78,13 @@ def _filming(env_id: str) -> Iterator[None]:
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
     """Return frames encoded as an MP4 with H.264; ValueError if they are not as annotated."""
-    given, rate = np.asarray(pictures), checked("fps", fps, Count)
-    if given.dtype != np.uint8 or given.shape[3:] != (3,) or not given.size:
-        what = f"{given.dtype} of shape {given.shape}"
-        raise ValueError(f"pictures is {what}; expected uint8 of shape (T, H, W, 3), not empty")
+    frames, rate = np.asarray(pictures), checked("fps", fps, Count)
+    if frames.dtype != np.uint8 or frames.shape[3:] != (3,) or not frames.size:
+        problem = f"{frames.dtype} of shape {frames.shape}"
+        raise ValueError(f"pictures is {problem}; expected uint8 of shape (T, H, W, 3), not empty")
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-    given = given[:, : given.shape[1] // 2 * 2, : given.shape[2] // 2 * 2]  # As players expect.
-    return mediapy.compress_video(given, fps=rate, crf=28, ffmpeg_args="-preset veryfast")
+    frames = frames[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]  # As players expect.
+    return mediapy.compress_video(frames, fps=rate, crf=28, ffmpeg_args="-preset veryfast")
 
 
 def show(pictures: UInt8[np.ndarray, "T H W 3"], caption: str, fps: int = 20) -> HTML:

@@ -77,13 +77,13 @@ def difference(
     With it come the ends of its percentile bootstrap interval over the seeds of both; a single seed
     tells nothing of others, and leaves the interval without ends.
     """
-    found = float(statistic(one) - statistic(other))
+    gain = float(statistic(one) - statistic(other))
     if min(len(one), len(other)) < 2:
-        return found, -np.inf, np.inf
+        return gain, -np.inf, np.inf
     (x, y), probability = _resamples(len(one), len(other))
     drawn = statistic(one[x.T]) - statistic(other[y.T])
     low, high = _percentiles(drawn, probability)
-    return found, float(low), float(high)
+    return gain, float(low), float(high)
 
 
 def probability_of_improvement(

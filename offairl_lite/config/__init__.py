@@ -151,8 +151,8 @@ class Config:
         chosen = {name: default for name, (_, default, _) in _choices().items()} | flat
         used = used_settings(chosen)
         for name in [name for name in flat if name not in used]:
-            if name not in (known := flat_settings()):
-                raise ValueError(f"no setting {name!r}; there are: {', '.join(known)}")
+            if name not in (names := flat_settings()):
+                raise ValueError(f"no setting {name!r}; there are: {', '.join(names)}")
             choice = [f"{k}={chosen[k]!r}" for k in ("learner", "reward", "ablation") if chosen[k]]
             raise ValueError(f"{name} has no use with {', '.join(choice)}: leave it out")
         others = {"frozen": Frozen(), **{name: Labels(name) for name in get_args(LabelReward)}}
@@ -177,8 +177,8 @@ def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
 
     None stands for a setting that one of them has no use for.
     """
-    here, there = one.flat(), other.flat()
-    pairs = {name: (here.get(name), there.get(name)) for name in here | there}
+    here, others = one.flat(), other.flat()
+    pairs = {name: (here.get(name), others.get(name)) for name in here | others}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
@@ -220,12 +220,12 @@ def used_settings(flat: Mapping[str, Any]) -> set[str]:
 
 def flat_settings() -> dict[str, tuple[Any, Any, str]]:
     """Return type, default and group of every setting of any group, by its flat name."""
-    found = _choices()
+    by_name = _choices()
     for group, base in GROUPS.items():
         for kind in kinds(base).values():
             for flat, (name, hint) in kind.settings.items():
-                found.setdefault(flat, (hint, getattr(kind, name), group))
-    return found
+                by_name.setdefault(flat, (hint, getattr(kind, name), group))
+    return by_name
 
 
 CORRECTED = Config()

@@ -91,10 +91,10 @@ class Checked:
 
 def kinds(base: type[Checked]) -> dict[str, type[Checked]]:
     """Return the types of a group, by their kinds; an ablation's once its module is imported."""
-    found = {base.kind: base}
+    types = {base.kind: base}
     for kind in base.__subclasses__():
-        found |= kinds(kind)
-    return found
+        types |= kinds(kind)
+    return types
 
 
 def checked(name: str, value: Any, hint: Any) -> Any:

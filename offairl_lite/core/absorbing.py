@@ -31,17 +31,17 @@ def is_absorbing(obs: Extended) -> Bool[Tensor, "*batch"]:
 
 def fit(obs: Float[Tensor, "*batch O"], size: int, whose: str) -> Tensor:
     """Return a task's observations in the `size` that `whose` name sees, O or O + 1."""
-    there = obs.shape[-1]
-    if size not in (there, there + 1):
-        raise ValueError(f"{whose} sees {size} numbers, and the task gives {there}")
-    return obs if there == size else extend(obs)
+    width = obs.shape[-1]
+    if size not in (width, width + 1):
+        raise ValueError(f"{whose} sees {size} numbers, and the task gives {width}")
+    return obs if width == size else extend(obs)
 
 
 def absorbing_state(like: Extended) -> Extended:
     """Return the absorbing state, in the shape and type of extended observations."""
-    there = torch.zeros_like(like)
-    there[..., -1] = 1
-    return there
+    state = torch.zeros_like(like)
+    state[..., -1] = 1
+    return state
 
 
 def rewrite(batch: Batch) -> Batch:
@@ -74,8 +74,8 @@ def with_absorbing_states(batch: Batch) -> Batch:
 def loop_of(batch: Batch) -> Batch:
     """Return the absorbing state's own transition, one for each member of a batch `S B`."""
     first = Batch(*(part[:, :1] for part in batch))
-    there, still = absorbing_state(first.obs), torch.zeros_like(first.pre_tanh)
-    return first._replace(obs=there, pre_tanh=still, next_obs=there)
+    state, still = absorbing_state(first.obs), torch.zeros_like(first.pre_tanh)
+    return first._replace(obs=state, pre_tanh=still, next_obs=state)
 
 
 def analytic_return(reward: Numbers, absorbing_reward: Numbers, discount: float) -> Numbers:
@@ -86,8 +86,8 @@ def analytic_return(reward: Numbers, absorbing_reward: Numbers, discount: float)
 def with_analytic_return(batch: Batch, absorbing_reward: Numbers, discount: float) -> Batch:
     """Return transitions, of which those to the absorbing state are paid R_T, and end there."""
     ends = is_absorbing(batch.next_obs)
-    known = analytic_return(batch.reward, absorbing_reward, discount)
+    total_return = analytic_return(batch.reward, absorbing_reward, discount)
     return batch._replace(
-        reward=torch.where(ends, known, batch.reward),
+        reward=torch.where(ends, total_return, batch.reward),
         terminated=torch.where(ends, 1, batch.terminated),
     )

@@ -93,12 +93,12 @@ def piecewise(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
     @wraps(function)
     def pieces(params: Tensor, *tensors: Tensor) -> Tensor:
-        found = []
+        outputs = []
         members = zip(params.split(1), *(x.split(1) for x in tensors), strict=True)
         for weights, *member in members:
             for rows in zip(*(x.split(PIECE, 1) for x in member), strict=True):
-                found.append(function(weights, *rows))
-        return torch.cat(found, 1).view(tensors[0].shape[:2])
+                outputs.append(function(weights, *rows))
+        return torch.cat(outputs, 1).view(tensors[0].shape[:2])
 
     return pieces
 

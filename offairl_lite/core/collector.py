@@ -37,7 +37,7 @@ class Members:
         """Indices of the members that are still training."""
         return [i for i, seed in enumerate(self.seeds) if seed not in self.diverged]
 
-    def give_up(self, lost: Bool[Tensor, "S"], step: int, what: str) -> None:
+    def give_up(self, lost: Bool[Tensor, "S"], step: int, problem: str) -> None:
         """Go on without the members in `lost`; FloatingPointError if none is left.
 
         The reason that is kept and warned of says `what` is wrong, and since when.
@@ -46,7 +46,7 @@ class Members:
             seed = self.seeds[i]
             if seed not in self.diverged:
                 why = (
-                    f"seed {seed} diverged by step {step}: its {what}; lower "
+                    f"seed {seed} diverged by step {step}: its {problem}; lower "
                     "learning_rate or reward_scale; set temperature, if a learned one rose "
                     "(curve.csv)"
                 )
@@ -128,12 +128,12 @@ class Collector:
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
         left = self.members.left
-        seen = {"observation": next_obs[left], "reward": reward[left]}
-        require_sound(self.config.env_id, f"step {self.steps}", **seen)
+        readings = {"observation": next_obs[left], "reward": reward[left]}
+        require_sound(self.config.env_id, f"step {self.steps}", **readings)
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
-        own = (self.guided == 0).nonzero().squeeze(1)
-        self._store(Batch(*(part[own] for part in parts)), own)
+        unguided = (self.guided == 0).nonzero().squeeze(1)
+        self._store(Batch(*(part[unguided] for part in parts)), unguided)
         self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
         self._draw_guided_steps(done)
@@ -174,8 +174,8 @@ class Collector:
     def state(self) -> dict[str, Tensor]:
         """Return what the next step depends on, the rows of the replay apart."""
         env = {f"env.{name}": torch.as_tensor(x) for name, x in self.env.get_state().items()}
-        own = {"episodes": self.episodes, "held_action": self.held_action, "guided": self.guided}
-        return {**own, "obs": torch.as_tensor(self.obs), "added": self.replay.added, **env}
+        counts = {"episodes": self.episodes, "held_action": self.held_action, "guided": self.guided}
+        return {**counts, "obs": torch.as_tensor(self.obs), "added": self.replay.added, **env}
 
     def restore(self, steps: int, state: dict[str, Tensor]) -> None:
         """Go on after `steps` steps from a state."""

@@ -154,8 +154,8 @@ class Discriminator:
         # What r must not see, its first layer multiplies with 0.
         self.mask = None
         if config.reward_sees is not None:
-            seen = [*config.reward_sees, *range(layout.obs_dim, inputs)]
-            self.mask = self.reward_net.mask(seen).to(layout.device)
+            visible = [*config.reward_sees, *range(layout.obs_dim, inputs)]
+            self.mask = self.reward_net.mask(visible).to(layout.device)
 
     @torch.no_grad()
     def init(self, rng: Rng) -> None:

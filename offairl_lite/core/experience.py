@@ -110,8 +110,8 @@ class Experience:
         paid = self.scaled(batch)._replace(reward=r - mean)
         if self.config.schedule.absorbing != "analytic":
             return paid
-        there = self.rewards(absorbing.loop_of(batch)) - mean
-        return absorbing.with_analytic_return(paid, there, learner.discount)
+        absorbing_reward = self.rewards(absorbing.loop_of(batch)) - mean
+        return absorbing.with_analytic_return(paid, absorbing_reward, learner.discount)
 
     def minibatches(self, count: int) -> list[Batch]:
         """Draw so many minibatches for the learner; SQIL's and IQ-Learn's are twice as large."""

@@ -48,5 +48,5 @@ class IQLearn(SAC):
         with torch.no_grad():
             sampled = self.actor.sample(self.actor_params, obs, noise)
             pre_tanh, log_prob = self.mask_absorbing(obs, *sampled)
-        own = self.critic(self.critic_params, obs, torch.tanh(pre_tanh))
-        return iq_loss(q, own - self.log_alpha.detach().exp() * log_prob, target)
+        q_of_policy = self.critic(self.critic_params, obs, torch.tanh(pre_tanh))
+        return iq_loss(q, q_of_policy - self.log_alpha.detach().exp() * log_prob, target)

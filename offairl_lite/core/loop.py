@@ -76,10 +76,10 @@ class Trainer:
         self.demonstrations: Batch | None = None
         if demonstrations is not None:
             require_demonstrations(demonstrations, env)
-            shown = demonstrations.transitions
+            batch = demonstrations.transitions
             if self.schedule.absorbing != "none":
-                shown = absorbing.with_absorbing_states(shown)
-            self.demonstrations = Batch(*(part.to(self.device) for part in shown))
+                batch = absorbing.with_absorbing_states(batch)
+            self.demonstrations = Batch(*(part.to(self.device) for part in batch))
 
         self.rng = Rng(self.seeds, self.device)
         self.normaliser = Normaliser.identity(population, self.dims[0], self.device)

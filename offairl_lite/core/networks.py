@@ -246,16 +246,16 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no safetensors file of this package: {error}") from error
-    found = about.get("kind", "something unnamed") if isinstance(about, dict) else "no metadata"
-    if found != kind:
-        raise ValueError(f"{path} holds {found!r}, not a {kind}")
+    stored = about.get("kind", "something unnamed") if isinstance(about, dict) else "no metadata"
+    if stored != kind:
+        raise ValueError(f"{path} holds {stored!r}, not a {kind}")
     return tensors, about
 
 
 def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
     """Return what metadata say of a dataclass; ValueError if a field is of another type."""
-    known = get_type_hints(kind, include_extras=True).items()
-    return {name: checked(name, about[name], hint) for name, hint in known if name in about}
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: checked(name, about[name], hint) for name, hint in hints if name in about}
 
 
 P = TypeVar("P", bound="Population")
@@ -275,8 +275,8 @@ class Population:
 
     def member(self: P, *index: int) -> P:
         """Return the population of these members alone; ValueError if there is none of a number."""
-        there = Annotated[int, f"in [0, {len(self) - 1}]", lambda i: 0 <= i < len(self)]
-        chosen = [checked("member", i, there) for i in index or (None,)]
+        valid = Annotated[int, f"in [0, {len(self) - 1}]", lambda i: 0 <= i < len(self)]
+        chosen = [checked("member", i, valid) for i in index or (None,)]
         return self._each(lambda tensor: tensor[chosen])
 
     def to(self: P, device: str | torch.device) -> P:
@@ -307,12 +307,12 @@ class Population:
             num_params, sees, architecture = cls._read(about, obs_dim)
             scale = members, 1, sees
             for name, shape in (("params", (members, num_params)), ("mean", scale), ("std", scale)):
-                found = tensors[name]
+                tensor = tensors[name]
                 # Shipped experts' weights may be in half precision.
-                if found.shape != shape or found.dtype not in (torch.float32, torch.float16):
-                    what = f"{found.dtype} of shape {tuple(found.shape)}"
-                    raise ValueError(f"{name} is {what}; expected torch.float32 of shape {shape}")
-                if not found.isfinite().all() or (name == "std" and found.min() <= 0):
+                if tensor.shape != shape or tensor.dtype not in (torch.float32, torch.float16):
+                    wrong = f"{tensor.dtype} of shape {tuple(tensor.shape)}"
+                    raise ValueError(f"{name} is {wrong}; expected torch.float32 of shape {shape}")
+                if not tensor.isfinite().all() or (name == "std" and tensor.min() <= 0):
                     raise ValueError(f"{name} must be finite, and std above 0")
             env_id = checked("env_id", about["env_id"], str).rpartition(":")[2]
         except (ValueError, LookupError, TypeError) as error:
@@ -322,11 +322,11 @@ class Population:
         fields = {"env_id": env_id, "params": params, "normaliser": Normaliser(*normaliser)}
         return cls(**(architecture | fields))
 
-    def _require(self, name: str, given: Tensor, *last: int) -> None:
+    def _require(self, name: str, tensor: Tensor, *last: int) -> None:
         """Raise ValueError unless an argument is (S, B, ...), `last` axes as given, and float."""
-        axes, dtype = tuple(getattr(given, "shape", ())), self.params.dtype
-        like = isinstance(given, Tensor) and given.dtype == dtype and len(axes) == 3
+        axes, dtype = tuple(getattr(tensor, "shape", ())), self.params.dtype
+        like = isinstance(tensor, Tensor) and tensor.dtype == dtype and len(axes) == 3
         if not like or axes[0] not in (1, len(self)) or axes[3 - len(last) :] != last:
-            found = f"{getattr(given, 'dtype', type(given).__name__)} of shape {axes}"
+            actual = f"{getattr(tensor, 'dtype', type(tensor).__name__)} of shape {axes}"
             wanted = (len(self), "B", "O")[: 3 - len(last)] + last
-            raise ValueError(f"{name} is {found}; expected {dtype} of shape {wanted}")
+            raise ValueError(f"{name} is {actual}; expected {dtype} of shape {wanted}")

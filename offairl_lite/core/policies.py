@@ -243,8 +243,8 @@ def make_actor(config: SACConfig | PPOConfig | TD3Config, obs_dim: int, action_d
     if isinstance(config, PPOConfig) or config.primitives is None:
         return SquashedGaussian(*dims, config.hidden, config.log_std_range)
     trunk = config.trunk_hidden, config.log_std_range
-    rest: Any = config.primitives, config.primitive_hidden, config.gate_hidden, config.gating
-    return MultiplicativeGaussian(*dims, *trunk, *rest)
+    layers: Any = config.primitives, config.primitive_hidden, config.gate_hidden, config.gating
+    return MultiplicativeGaussian(*dims, *trunk, *layers)
 
 
 @dataclass(frozen=True)
@@ -275,11 +275,11 @@ class Policy(Population):
 
     @staticmethod
     def _read(about: dict[str, Any], obs_dim: int) -> tuple[int, int, dict[str, Any]]:
-        shape, known = dict(about["actor"]), _actors()
+        shape, kinds = dict(about["actor"]), _actors()
         if shape.get("composition") == "exact":
             del shape["composition"]  # Files from before it was an actor of its own.
         name = shape.pop("name")
-        if name not in known:
-            raise ValueError(f"the actor is {name!r}; expected one of {', '.join(known)}")
-        actor = known[name](**(shape | fields_of(known[name], shape)))
+        if name not in kinds:
+            raise ValueError(f"the actor is {name!r}; expected one of {', '.join(kinds)}")
+        actor = kinds[name](**(shape | fields_of(kinds[name], shape)))
         return actor.num_params, actor.obs_dim, {"actor": actor}

@@ -69,10 +69,10 @@ def choose(rng: Rng, rows: Sequence[int], count: int, horizon: int = 1) -> Int[T
     return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
 
 
-def sample(shown: Batch, rng: Rng, count: int, horizon: int = 1) -> Batch:
+def sample(demonstrations: Batch, rng: Rng, count: int, horizon: int = 1) -> Batch:
     """Draw `count` of demonstrated transitions, axes `N`, for each member, see `choose`."""
-    index = choose(rng, [len(shown.obs)] * len(rng), count, horizon)
-    return Batch(*(part[index] for part in shown))
+    index = choose(rng, [len(demonstrations.obs)] * len(rng), count, horizon)
+    return Batch(*(part[index] for part in demonstrations))
 
 
 class Replay:
@@ -111,8 +111,8 @@ class Replay:
         rows, members = pack(batch), self._everyone if members is None else members
         shape = len(members), self.rows.shape[-1]
         if rows.shape != shape:
-            found = f"transitions pack to {tuple(rows.shape)}"
-            raise ValueError(f"{found}; this buffer takes {shape} (members, 2 obs + action + 2)")
+            packed = f"transitions pack to {tuple(rows.shape)}"
+            raise ValueError(f"{packed}; this buffer takes {shape} (members, 2 obs + action + 2)")
         self.rows[self.added[members] % len(self.rows), members] = rows.to(self.rows)
         self.added[members] += 1
 

@@ -48,13 +48,13 @@ def require_inputs(
         ),
         (f"guide_steps={guide_steps} and a guide", guide_steps > 0, guide),
     ]
-    for what, is_needed, trained in pairs:
+    for pair, is_needed, trained in pairs:
         if is_needed != (trained is not None):
-            raise ValueError(f"{what} go together")
+            raise ValueError(f"{pair} go together")
         if trained is not None and len(trained) != len(seeds):
             numbers = " ".join(map(str, range(len(trained))))
             raise ValueError(
-                f"{what} of {len(trained)} members for {len(seeds)} seeds: give as many seeds, for "
+                f"{pair} of {len(trained)} members for {len(seeds)} seeds: give as many seeds, for "
                 f"instance --seeds {numbers}"
             )
 

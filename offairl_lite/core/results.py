@@ -54,8 +54,8 @@ class Run:
     @property
     def returns(self) -> np.ndarray:
         """Mean return of each member at each evaluation, `(S, K)`; NaN where there was none."""
-        found = {(row.seed, row.step): row.mean_return for row in self.rows}
-        return np.array([[found.get((seed, k), np.nan) for k in self.steps] for seed in self.seeds])
+        means = {(row.seed, row.step): row.mean_return for row in self.rows}
+        return np.array([[means.get((seed, k), np.nan) for k in self.steps] for seed in self.seeds])
 
     def to_frame(self) -> Any:
         """Return the learning curves as a pandas DataFrame, a row for each seed and evaluation.
@@ -69,8 +69,8 @@ class Run:
             raise ImportError(
                 "pandas is not installed: pip install -e '.[frames]', in a clone"
             ) from error
-        about = {"run": self.name, "task": self.config.env_id}
-        lines = [{**about, **row._asdict(), **row.metrics} for row in self.rows]
+        constants = {"run": self.name, "task": self.config.env_id}
+        lines = [{**constants, **row._asdict(), **row.metrics} for row in self.rows]
         return DataFrame(lines).drop(columns=["returns", "metrics"], errors="ignore")
 
 

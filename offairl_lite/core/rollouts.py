@@ -30,12 +30,12 @@ def faulty(reading: np.ndarray) -> np.ndarray:
     return ~(np.abs(reading) <= LARGEST)
 
 
-def require_sound(env_id: str, when: str, **given: np.ndarray) -> None:
+def require_sound(env_id: str, when: str, **readings: np.ndarray) -> None:
     """Raise ValueError, with the number, if a task gives one that is `faulty`."""
-    for name, reading in given.items():
+    for name, reading in readings.items():
         for i, *place in np.argwhere(faulty(reading)).tolist():
-            found = f"{name}{place or ''} is {reading[i, *place]:.6g}, {FAULTY}"
-            raise ValueError(f"{env_id} is at fault in {when}: its {found}; mend it")
+            value = f"{name}{place or ''} is {reading[i, *place]:.6g}, {FAULTY}"
+            raise ValueError(f"{env_id} is at fault in {when}: its {value}; mend it")
 
 
 class Episodes(NamedTuple):
@@ -111,10 +111,10 @@ def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
     require_actions(policy, space)
-    given = np.asarray(obs)
-    if given.ndim != 1 or given.dtype.kind not in "biuf":
+    array = np.asarray(obs)
+    if array.ndim != 1 or array.dtype.kind not in "biuf":
         raise ValueError(f"obs is {obs!r}; expected numbers of shape ({policy.actor.obs_dim},)")
-    x = torch.tensor(given, dtype=torch.float32, device=policy.params.device)
+    x = torch.tensor(array, dtype=torch.float32, device=policy.params.device)
     unit = policy.act(x.view(1, 1, -1)).flatten().cpu().numpy()
     scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
     if not (x.isfinite().all() and np.isfinite(scaled).all()):
@@ -166,8 +166,8 @@ def rollout(
             else:
                 action = actions[:, :, len(steps)].reshape(-1, action_dim)
             next_obs, reward, terminated, truncated, _ = env.step(action)
-            seen = {"observation": next_obs[running], "reward": reward[running]}
-            require_sound(env_id, f"step {len(steps)} of an episode", **seen)
+            readings = {"observation": next_obs[running], "reward": reward[running]}
+            require_sound(env_id, f"step {len(steps)} of an episode", **readings)
             steps.append((obs, action, next_obs, reward, running & terminated, running))
             done = terminated | truncated
             running, obs = running & ~done, next_obs

@@ -41,6 +41,6 @@ def _warn_of_outliers(obs: Float[Tensor, "N O"], whose: str) -> None:
     far = (obs - obs.median(0).values).abs()
     # Beside 1, too: what hardly moves, such as a thing at rest, may well be pushed.
     for step, j in (far > 1e5 * far.median(0).values.clamp(min=1)).nonzero()[:1].tolist():
-        found = f"observation[{j}] of {whose} is {obs[step, j]:.6g} in step {step} of the warm-up"
+        reading = f"observation[{j}] of {whose} is {obs[step, j]:.6g} in step {step} of the warm-up"
         why = "half of the others differ by less than a 100,000th of that, and would look alike"
-        warnings.warn(f"{found}: {why}; mend the task", stacklevel=2)
+        warnings.warn(f"{reading}: {why}; mend the task", stacklevel=2)

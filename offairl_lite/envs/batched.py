@@ -247,9 +247,9 @@ def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) ->
     """Raise ValueError unless two states have the same names, shapes and types."""
     expected = {name: (array.shape, array.dtype) for name, array in like.items()}
     parts = (state or {}).items()
-    given = {name: (np.shape(array), np.asarray(array).dtype) for name, array in parts}
-    if given != expected:
-        raise ValueError(f"not a state of this environment: expected {expected}, got {given}")
+    actual = {name: (np.shape(array), np.asarray(array).dtype) for name, array in parts}
+    if actual != expected:
+        raise ValueError(f"not a state of this environment: expected {expected}, got {actual}")
 
 
 def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndarray:

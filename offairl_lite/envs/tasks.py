@@ -104,8 +104,8 @@ def _custom_ant_reward(before, actions, after, seconds):
 
 def _hopper_healthy(physics: Physics) -> np.ndarray:
     height, angle = physics.qpos[:, 1], physics.qpos[:, 2]
-    rest = np.concatenate([physics.qpos[:, 2:], physics.qvel], axis=1)
-    return (height > 0.7) & (np.abs(angle) < 0.2) & (np.abs(rest) < 100).all(axis=1)
+    others = np.concatenate([physics.qpos[:, 2:], physics.qvel], axis=1)
+    return (height > 0.7) & (np.abs(angle) < 0.2) & (np.abs(others) < 100).all(axis=1)
 
 
 def _walker_healthy(physics: Physics) -> np.ndarray:

@@ -28,6 +28,6 @@ def configure(run: str, scale: Scale) -> Config:
     experiment = find(name)
     variants = experiment.variants or {"": {}}
     if variant not in variants:
-        there = ", ".join(f"{name}/{v}" if v else name for v in variants)
-        raise ValueError(f"no run {run!r}; there are: {there}")
+        names = ", ".join(f"{name}/{v}" if v else name for v in variants)
+        raise ValueError(f"no run {run!r}; there are: {names}")
     return experiment.configs[scale].change(**variants[variant])

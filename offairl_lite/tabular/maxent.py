@@ -102,12 +102,12 @@ def maxent_irl(
 
     tolerance = {"ftol": 0, "gtol": 1e-9 * demonstrated.sum() / temperature}
     options = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, **tolerance}
-    found = scipy.optimize.minimize(
+    optimum = scipy.optimize.minimize(
         loss, start, jac=True, method="L-BFGS-B", callback=keep, options=options
     )
     history, likelihood = (np.array(part) for part in zip(*steps, strict=True))
-    mismatch = temperature * np.abs(found.jac - penalty * found.x).max()
-    return Fit(reward_of(found.x), found.x, history, likelihood, mismatch)
+    mismatch = temperature * np.abs(optimum.jac - penalty * optimum.x).max()
+    return Fit(reward_of(optimum.x), optimum.x, history, likelihood, mismatch)
 
 
 def _likelihood(

@@ -76,8 +76,8 @@ def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
     for name, index, bound in limits:
         low, high = index.min(), index.max()
         if low < 0 or high >= bound:
-            found = f"they are from {low} to {high}"
-            raise ValueError(f"a {name} must be from 0 to {bound - 1}, but {found}")
+            actual = f"they are from {low} to {high}"
+            raise ValueError(f"a {name} must be from 0 to {bound - 1}, but {actual}")
     pairs = states[:, :-1] * mdp.num_actions + actions
     chance = mdp.transition[pairs.ravel(), states[:, 1:].ravel()]
     for n, t in np.argwhere(chance.reshape(actions.shape) == 0):
