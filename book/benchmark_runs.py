@@ -399,6 +399,24 @@ def _no_actions(cells: Cells) -> str:
     )
 
 
+def short(cells: Cells) -> str:
+    """Return the README's table, in Markdown: four demonstrations."""
+    lines = [f"| | {' | '.join(ROBOTS)} | command |", "|---" * 7 + "|"]
+    for method in ("clone", "airl", "dac"):
+        keys = [("4", robot, method) for robot in ROBOTS]
+        if not any(key in cells for key in keys):
+            continue
+        means = [
+            f"{summary(cells[key].ends).mean:.0f}" if key in cells else "–"
+            for key in keys
+        ]
+        name = "`; `".join(commands("4", method))
+        lines.append(
+            f"| {METHODS[method]} | {' | '.join(means)} | `{name}` |"
+        )
+    return "\n".join(lines)
+
+
 # Tables and a figure.
 
 

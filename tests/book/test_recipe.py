@@ -132,6 +132,25 @@ def test_its_small_table_is_the_large_one():
         assert f"| {steps:,} steps | {' | '.join(medians)} |" in PAGE
 
 
+def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "book"))
+    import benchmark_runs
+
+    def mean(*cell):
+        return f"{benchmark_runs.summary(cells[cell].ends).mean:.0f}"
+
+    cells, text = benchmark_runs.read(), " ".join(PAGE.split())
+    hopper, walker = (mean("50", robot, "clone") for robot in ("Hopper", "Walker2d"))
+    assert f"clones of Hopper and Walker2d came to {hopper} and {walker} % of the expert" in text
+    pairs = [
+        [mean("4", robot, method) for method in ("clone", "airl")]
+        for robot in ("Hopper", "HalfCheetah")
+    ]
+    (clone, recipe), (cheetah, other) = pairs
+    assert f"took Hopper's clones to {clone} % and this command to {recipe} %" in text
+    assert f"on HalfCheetah it was {cheetah} % against {other} %" in text
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
