@@ -33,7 +33,7 @@ def font(size: int) -> ImageFont.FreeTypeFont:
 
 def cart(draw: ImageDraw.ImageDraw, x: float, y: int, color: str) -> None:
     """Draw a cart at position `x` of a rail at height `y`."""
-    width, height = (SCALE * side for side in SIZE)
+    width = SCALE * SIZE[0]
     center = width / 2 + x / RAIL * 0.42 * width
     line = SCALE * 3
     ends = 0.06 * width, 0.94 * width
