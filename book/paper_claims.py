@@ -172,7 +172,8 @@ CLAIMS = {
         ),
     ),
     6: Claim(
-        "Retraining the gate alone fails on the maze.",
+        "Retraining the gate alone fails on the maze [here: after a short "
+        "warm-up].",
         tuple(
             Comparison(label, "mostly fails", MAZE + run)
             for label, run in (
