@@ -410,10 +410,9 @@ def short(cells: Cells) -> str:
             f"{summary(cells[key].ends).mean:.0f}" if key in cells else "–"
             for key in keys
         ]
-        name = "`; `".join(commands("4", method))
-        lines.append(
-            f"| {METHODS[method]} | {' | '.join(means)} | `{name}` |"
-        )
+        (command,) = commands("4", method)
+        parts = METHODS[method], *means, f"`{command}`"
+        lines.append(f"| {' | '.join(parts)} |")
     return "\n".join(lines)
 
 
