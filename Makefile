@@ -28,10 +28,11 @@ export OMP_NUM_THREADS ?= 1
 JOBS ?= $(shell getconf _NPROCESSORS_ONLN | awk '{print ($$1 < 4 ? $$1 : 4)}')
 export IPYTHONDIR := $(CURDIR)/build/ipython
 
-.PHONY: help book stage html test portable soak system clean
+.PHONY: help book lab stage html test portable soak system clean
 
 help:
 	@echo 'make book    run every chapter that has changed and render the book'
+	@echo 'make lab     open the chapters in JupyterLab, to change and run them'
 	@echo 'make test    run all checks: style, package, chapters, rendered book, browser'
 	@echo 'make portable  repeat pages as other processors would round: PAGES=05_off_policy_airl RUNS=5'
 	@echo 'make soak    kill runs of all kinds at random moments, as long as you like: MINUTES=10'
@@ -50,6 +51,9 @@ $(STAGE)/%.run: % $(SOURCES) $$(wildcard book/checks/$$(basename $$(notdir $$*))
 	@cp $< $(STAGE)/$<
 	@echo 'Running $<'
 	@$(BIN)/python book/execute.py run $< $(STAGE) --timeout=$(CELL) && touch $@ || rm -f $@
+
+lab: $(ENV) stage
+	$(BIN)/jupyter lab book
 
 # All of the book but the chapters, which are executed in the staging folder; and a profile that
 # keeps the kernels' start-up notices out of the output.
