@@ -278,6 +278,7 @@ def generate(
     trajectories: int,
     dataset_id: str,
     members: Sequence[int] | None = None,
+    at_least: float | None = None,
 ) -> None:
     """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
@@ -290,12 +291,23 @@ def generate(
     or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. `members`
     says which of the shipped experts these are, and has the episodes that are shipped.
 
+    `at_least` is the mean return that you know whoever acts to reach: a ValueError says that these
+    episodes return less, as those of a model do that was trained under VecNormalize and is used
+    without it.
+
     The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
     """
     # Everything that can go wrong is checked before minutes of work.
     checked("trajectories", trajectories, Count)
     minari_storage.require_new(dataset_id)
     recordings = record(policy, env_id, trajectories, members)
+    mean = float(np.mean([np.sum(one.reward) for one in recordings]))
+    if at_least is not None and mean < at_least:
+        raise ValueError(
+            f"the episodes return {mean:.4g} on average, and at_least is {at_least:.4g}: whoever "
+            "acts may see observations otherwise than in training (VecNormalize scales them), or "
+            "act in other units. Nothing is written"
+        )
     by: Any = policy
     if isinstance(policy, Policy):
         by = f"{len(policy)} policies that were trained on {policy.env_id}"

@@ -365,6 +365,9 @@ def complete(
                 on_advance(rows)
             except Stop:
                 break
+            except StopIteration as error:  # Once this ended a run, and hid a mistake.
+                why = "a callback has raised StopIteration: to end a run early, raise loop.Stop"
+                raise RuntimeError(why) from error
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         start, end = trainer.schedule.warmup_steps, trainer.steps
