@@ -7,13 +7,11 @@ import lzma
 import shutil
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import gymnasium
 import numpy as np
 import torch
 from filelock import FileLock, Timeout
@@ -26,16 +24,9 @@ from offairl_lite import envs, minari_storage
 from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
-from offairl_lite.core.rollouts import (
-    LONGEST,
-    Episodes,
-    episode_seeds,
-    faulty,
-    require_actions,
-    require_end,
-    rollout,
-)
+from offairl_lite.core.rollouts import Episodes, episode_seeds, faulty, require_actions, rollout
 from offairl_lite.minari_storage import Recording, outside, write
+from offairl_lite.recordings import from_flat, played
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
 PURPOSE = 1
@@ -194,6 +185,54 @@ def load(
     return replace(data if subsample == 1 else data.subsample(subsample), source=source)
 
 
+def of(
+    given: Any,
+    env_id: str,
+    trajectories: int | None = None,
+    subsample: int = 1,
+    experts: int | Literal["best"] | None = None,
+) -> Demonstrations:
+    """Return demonstrations of a task, in whatever form they are given.
+
+    `given` is a list of episodes, each a `Recording` or its parts (obs, action, terminated); flat
+    arrays, as `from_flat` takes them; the name of a Minari data set; somebody who acts, whom
+    `record` asks for 50 episodes: a `Policy`, a function, or a model with `predict`; None for the
+    shipped `experts`; or `Demonstrations`, which are returned as they are. Of episodes that are
+    there already all are taken, or the first `trajectories`. ValueError says what is wrong, and
+    with which recording.
+    """
+    if isinstance(given, Demonstrations):
+        return given
+    if given is None:
+        return load(env_id, trajectories or 50, None, subsample, experts)
+    if isinstance(given, str):
+        there = minari_storage.local_datasets().get(given, {}).get("total_episodes", 50)
+        return load(env_id, trajectories or there, given, subsample)
+    if hasattr(given, "predict"):
+        model, given = given, lambda obs: model.predict(obs, deterministic=True)[0]
+    if isinstance(given, Policy) or callable(given):
+        given = record(given, env_id, trajectories or 50)
+    if isinstance(given, Mapping):
+        given = from_flat(given)
+    if not isinstance(given, list | tuple) or not given:
+        raise ValueError(
+            f"demonstrations are {given!r}; expected a list of episodes, each a Recording or (obs, "
+            "action), flat arrays by their names, a Minari data set's name, or a policy"
+        )
+    parts = [one if isinstance(one, Recording) else _parts(i, one) for i, one in enumerate(given)]
+    data = Demonstrations(env_id, *minari_storage.transitions_of(parts[:trajectories], env_id))
+    return data if subsample == 1 else data.subsample(subsample)
+
+
+def _parts(i: int, given: Any) -> Recording:
+    """Return an episode that is given as a tuple, or as a dictionary."""
+    try:
+        return Recording(**given) if isinstance(given, Mapping) else Recording(*given)
+    except TypeError as error:
+        why = f"expected a Recording, or its parts {Recording._fields}"
+        raise ValueError(f"recording {i} is a {type(given).__name__}; {why}: {error}") from error
+
+
 def _made_by_experts(env_id: str, trajectories: int, experts: int | str | None) -> str:
     """Return the name of the shipped experts' data set, after making it if it is not complete."""
     envs.spec(env_id)  # Refuses an unknown task before experts are looked for.
@@ -239,6 +278,7 @@ def generate(
     trajectories: int,
     dataset_id: str,
     members: Sequence[int] | None = None,
+    at_least: float | None = None,
 ) -> None:
     """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
@@ -251,22 +291,44 @@ def generate(
     or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. `members`
     says which of the shipped experts these are, and has the episodes that are shipped.
 
+    `at_least` is the mean return that you know whoever acts to reach: a ValueError says that these
+    episodes return less, as those of a model do that was trained under VecNormalize and is used
+    without it.
+
     The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
     """
     # Everything that can go wrong is checked before minutes of work.
     checked("trajectories", trajectories, Count)
     minari_storage.require_new(dataset_id)
-    *_, units = minari_storage.closed_task(env_id)
+    recordings = record(policy, env_id, trajectories, members)
+    mean = float(np.mean([np.asarray(one.reward).sum() for one in recordings]))
+    if at_least is not None and mean < at_least:
+        raise ValueError(
+            f"the episodes return {mean:.4g} on average, and at_least is {at_least:.4g}: whoever "
+            "acts may see observations otherwise than in training (VecNormalize scales them), or "
+            "act in other units. Nothing is written"
+        )
+    by: Any = policy
+    if isinstance(policy, Policy):
+        by = f"{len(policy)} policies that were trained on {policy.env_id}"
+    write(recordings, env_id, dataset_id, description=f"Episodes of {by}.")
+
+
+def record(
+    policy: Policy | Callable[[Float[np.ndarray, "O"]], Float[np.ndarray, "A"]],
+    env_id: str,
+    trajectories: int,
+    members: Sequence[int] | None = None,
+) -> list[Recording]:
+    """Return the first episodes of a policy, or of any function that acts, as for `generate`."""
+    checked("trajectories", trajectories, Count)
+    units = envs.spaces(env_id)[1]
     if isinstance(policy, Policy):
         require_actions(policy, units)
-        recordings = _sampled(policy, env_id, trajectories, units, members)
-        by = f"Episodes of {len(policy)} policies that were trained on {policy.env_id}."
-    elif callable(policy):
-        recordings = _played(policy, env_id, trajectories, units)
-        by = f"Episodes of {policy}."
-    else:
-        raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
-    write(recordings, env_id, dataset_id, description=by)
+        return _sampled(policy, env_id, trajectories, units, members)
+    if callable(policy):
+        return played(policy, env_id, units, episode_seeds((0,), trajectories, PURPOSE))
+    raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
 
 
 def _sampled(
@@ -287,43 +349,6 @@ def _sampled(
         reward = made.reward[at][:length]
         recordings.append(Recording(obs, action, bool(made.terminated[at]), reward))
     return recordings
-
-
-def _played(
-    act: Callable[[np.ndarray], np.ndarray], env_id: str, trajectories: int, units: Box
-) -> list[Recording]:
-    """Return episodes of a function that acts."""
-    recordings, seeds = [], episode_seeds((0,), trajectories, PURPOSE)
-    with closing(gymnasium.make(env_id)) as env:
-        for i, seed in enumerate(tqdm(seeds, unit="episode", desc=f"demonstrations of {env_id}")):
-            # Copies, since whoever acts, and the task, may go on writing into their own.
-            obs, actions, rewards = [np.array(env.reset(seed=seed)[0])], list[np.ndarray](), []
-            terminated = truncated = False
-            while not (terminated or truncated):
-                require_end(env_id, len(actions), LONGEST)
-                action = act(obs[-1].copy())
-                _require_action(action, units, f"episode {i}, step {len(actions)}")
-                actions.append(np.array(action, units.dtype))
-                seen, reward, terminated, truncated, _ = env.step(actions[-1].copy())
-                obs.append(np.array(seen))
-                rewards.append(float(reward))
-            parts = np.stack(obs), np.stack(actions), bool(terminated), np.array(rewards)
-            recordings.append(Recording(*parts))
-    return recordings
-
-
-def _require_action(action: Any, units: Box, where: str) -> None:
-    """Raise ValueError, with the episode and the step, unless a task can take an action."""
-    with suppress(ValueError, TypeError):  # What is no array is refused below.
-        given = np.asarray(action)
-        like = given.shape == units.shape and given.dtype.kind in "biuf"
-        if like and np.isfinite(given).all() and not minari_storage.outside(given, units).any():
-            return
-    raise ValueError(
-        f"{where}: the action is {action!r}; expected finite numbers in the task's own units, "
-        f"within {units}: mend the policy, or clip what it returns (a model of Stable-Baselines3: "
-        "model.predict(obs)[0])"
-    )
 
 
 def first_episodes(

@@ -5,8 +5,9 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import gymnasium
 import minari
@@ -17,6 +18,7 @@ from gymnasium.spaces import Box
 from jaxtyping import Float
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_dataset import parse_dataset_id
+from minari.dataset.minari_storage import MinariStorage
 from minari.storage import get_dataset_path
 
 from offairl_lite import envs
@@ -26,6 +28,8 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.rollouts import FAULTY, faulty
 
 log = logging.getLogger(__name__)
+
+E = TypeVar("E", minari.EpisodeData, EpisodeBuffer)
 
 
 class Recording(NamedTuple):
@@ -53,14 +57,8 @@ def write(
     require_new(dataset_id)
     if not isinstance(recordings, Sequence) or not recordings:
         raise ValueError(f"recordings is {recordings!r}; expected a list of at least one Recording")
+    buffer = _episodes(recordings, env_id)
     env, seen, units = closed_task(env_id)
-    buffer = []
-    for i, recording in enumerate(recordings):
-        where = f"recording {i}, for the task {env_id}"
-        with _reading(where):
-            episode = _episode(i, recording, seen, units)
-        _check(episode, where, seen, units)
-        buffer.append(episode)
     # Minari stores it, so that the data set can be told from data sets of other tasks.
     env.unwrapped.spec = _storable(envs.spec(env_id))
     with warnings.catch_warnings(), ExitStack() as undo:
@@ -79,6 +77,25 @@ def write(
             description=description,
         )
         undo.pop_all()  # It is whole, and stays.
+
+
+def _episodes(recordings: Sequence[Recording], env_id: str) -> list[EpisodeBuffer]:
+    """Return recordings as Minari's episodes; ValueError says what does not fit the task."""
+    seen, units = envs.spaces(env_id)
+    episodes = []
+    for i, recording in enumerate(recordings):
+        where = f"recording {i}, for the task {env_id}"
+        with _reading(where):
+            episode = _episode(i, recording, seen, units)
+        episodes.append(_within_bounds(episode, where, seen, units, env_id))
+    return episodes
+
+
+def transitions_of(recordings: Sequence[Recording], env_id: str) -> tuple[Batch, tuple[int, ...]]:
+    """Return what `read` returns, of recordings that are in no data set."""
+    units = envs.spaces(env_id)[1]
+    parts = [_transitions(episode, units) for episode in _episodes(recordings, env_id)]
+    return Batch(*map(torch.cat, zip(*parts, strict=True))), tuple(len(p.reward) for p in parts)
 
 
 def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
@@ -110,7 +127,7 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
     this one, and the log says so. It is a ValueError if there are too few episodes, if a file is
     damaged, or if shapes, types, ranges, finiteness or episode ends do not fit the task.
     """
-    _, seen, units = closed_task(env_id)
+    seen, units = envs.spaces(env_id)
     with _reading(f"data set {dataset_id}"):
         dataset = minari.load_dataset(dataset_id)
     if dataset.total_episodes < trajectories:
@@ -131,8 +148,7 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
         where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
         with _reading(where):
             (episode,) = dataset.iterate_episodes([i])
-        _check(episode, where, seen, units)
-        parts.append(_transitions(episode, units))
+        parts.append(_transitions(_within_bounds(episode, where, seen, units, env_id), units))
     transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
 
@@ -163,8 +179,20 @@ def _reading(where: str) -> Iterator[None]:
 
 def local_datasets() -> dict[str, dict[str, Any]]:
     """Return the metadata of each data set in the local storage, by name."""
+    found = {}
     with storage_errors():
-        return minari.list_local_datasets()
+        for path in sorted((root := get_dataset_path()).rglob("data/metadata.json")):
+            name = path.parent.parent.relative_to(root).as_posix()
+            try:
+                parse_dataset_id(name)
+                about = MinariStorage.read_raw_metadata(path.parent)
+                if about["dataset_id"] != name:
+                    raise ValueError(f"it is of {about['dataset_id']}")
+            except (KeyError, TypeError, ValueError) as error:
+                log.warning(f"{path.parent.parent} is no Minari data set, and is left out: {error}")
+            else:
+                found[name] = about
+    return found
 
 
 @contextmanager
@@ -230,6 +258,13 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
     shapes |= dict.fromkeys(("rewards", "terminations", "truncations"), (steps,))
     for part, shape in shapes.items():
         array = getattr(episode, part)
+        if isinstance(array, dict):
+            names = ", ".join(map(str, array))
+            found = f"a dictionary of {names}: put one array beside the other, in the order of the "
+            found += (
+                f"task's observation ({', '.join(sorted(map(str, array)))} in FlattenObservation)"
+            )
+            expect(False, f"{part} of shape {shape}", found)
         found = getattr(array, "shape", type(array).__name__)
         rule = "; T actions go with T + 1 observations" * (part == "observations")
         expect(found == shape, f"{part} of shape {shape}", f"{found}{rule}")
@@ -240,17 +275,57 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
     for part, space in spaces.items():
         array = getattr(episode, part)
         for step, i in np.argwhere(outside(array, space))[:1]:
-            found = f"{array[step, i]:.6g} in step {step}: mend it, or the task's space"
+            cure = "mend it, or the task's space"
+            if part == "actions":
+                cure = "np.clip it if the robot did; this task, which was tried, does not clip"
+            found = f"{array[step, i]:.6g} in step {step}: {cure}"
             expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", found)
     ends = np.flatnonzero(np.any([episode.terminations, episode.truncations], 0))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
-    expect(ends.tolist() == [steps - 1], expected, f"ends at {ends.tolist()}")
+    found = f"ends at {ends.tolist()}" if len(ends) else "no end: mark the last step as truncated"
+    expect(ends.tolist() == [steps - 1], expected, found)
 
 
 def outside(array: np.ndarray, space: Box) -> np.ndarray:
     """Tell which numbers are beyond a space's bounds, by more than rounding."""
     below, above = (1e-5 * np.maximum(1, abs(bound)) for bound in (space.low, space.high))
     return (array < space.low - below) | (array > space.high + above)
+
+
+def _within_bounds(episode: E, where: str, seen: Box, units: Box, env_id: str) -> E:
+    """Return an episode that fits a task, its actions clipped where the task clips them itself."""
+    actions = np.asarray(episode.actions)
+    if actions.shape[1:] == units.shape and actions.dtype.kind in "biuf" and actions.size:
+        beyond = outside(actions, units).any(1)
+        if beyond.any() and not faulty(actions).any() and _clips(env_id, actions[beyond]):
+            clipped = np.clip(actions, units.low, units.high).astype(actions.dtype)
+            log.warning(
+                f"{where}: actions in {beyond.sum()} of {len(actions)} steps are out of bounds, "
+                f"by up to {np.abs(clipped - actions).max():.3g}. The task clips them, as playing "
+                "them both ways shows, and so they are clipped here"
+            )
+            episode = replace(episode, actions=clipped)
+    _check(episode, where, seen, units)
+    return episode
+
+
+def _clips(env_id: str, actions: Float[np.ndarray, "T A"]) -> bool:
+    """Tell whether a task itself clips actions: whether they lead where the clipped ones lead."""
+    with suppress(Exception), ExitStack() as stack:  # One that refuses them does not clip.
+        both = [stack.enter_context(closing(gymnasium.make(env_id))) for _ in range(2)]
+        bounds: Any = both[0].action_space
+        ended = True
+        for action in actions[:1000]:
+            if ended:
+                for env in both:
+                    env.reset(seed=0)
+            pair = action.astype(bounds.dtype), np.clip(action, bounds.low, bounds.high)
+            one, other = (env.step(x) for env, x in zip(both, pair, strict=True))
+            if not np.array_equal(one[0], other[0]) or one[2:4] != other[2:4]:
+                return False
+            ended = bool(one[2] or one[3])
+        return True
+    return False
 
 
 def _transitions(episode: minari.EpisodeData, units: Box) -> Batch:

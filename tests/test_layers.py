@@ -10,13 +10,13 @@ import offairl_lite
 ROOT = Path(offairl_lite.__file__).parent
 ORDER = """
 config scale core.shapes core.rng core.acceleration envs tabular core.networks core.replay
-core.absorbing core.policies core.rollouts minari_storage demonstrations cloning plain
+core.absorbing core.policies core.rollouts minari_storage recordings demonstrations cloning plain
 core.rewards
 core.discriminator core.experience core.sac core.iq_learn core.td3 core.ppo core.learner
 core.results core.collector core.scaling core.requirements core.loop ablations experiments
 analysis.statistics analysis.epic analysis.plots analysis.films runs.records runs.tensorboard
-runs.inputs learned_reward runs.export runs.pictures runs.checkpoints runs.jobs runs.folders
-runs.grid runs.launch runs.bench runs.cli
+runs.inputs runs.preflight learned_reward runs.export runs.pictures runs.checkpoints runs.jobs
+runs.folders runs.grid runs.launch runs.bench airl runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

@@ -9,6 +9,7 @@ optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is fille
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, Literal, get_args
 
 from offairl_lite.config.groups import (
@@ -80,11 +81,8 @@ class Config:
         if reward in get_args(Implementation) and isinstance(self.learner, TD3Config):
             yield f"reward {reward!r} needs log π, and td3's policy has none: use learner='sac'"
         yield from self._label_conflicts()
-        if isinstance(self.discriminator, DiscriminatorConfig):
-            if start and self.discriminator.loss == "airl-mixture":
-                yield "loss='airl-mixture' counts the steps of a guide: set guide_steps=0"
-            if (sees := self.discriminator.reward_sees) and absorbing != "none":
-                yield f"reward_sees is {sees}, without the absorbing state: set absorbing='none'"
+        if start and getattr(self.discriminator, "loss", "") == "airl-mixture":
+            yield "loss='airl-mixture' counts the steps of a guide: set guide_steps=0"
 
     def _label_conflicts(self) -> Iterator[str]:
         """Yield what does not fit SQIL and IQ-Learn."""
@@ -150,9 +148,14 @@ class Config:
         flat = current(flat)
         chosen = {name: default for name, (_, default, _) in _choices().items()} | flat
         used = used_settings(chosen)
+        if "discount" in flat and "discriminator_discount" in used:
+            # The shaping needs the learner's, or it is none.
+            chosen.setdefault("discriminator_discount", flat["discount"])
         for name in [name for name in flat if name not in used]:
             if name not in (names := flat_settings()):
-                raise ValueError(f"no setting {name!r}; there are: {', '.join(names)}")
+                near = " or ".join(get_close_matches(name, names))
+                near = f"; did you mean {near}?" if near else ""
+                raise ValueError(f"no setting {name!r}{near}; there are: {', '.join(names)}")
             choice = [f"{k}={chosen[k]!r}" for k in ("learner", "reward", "ablation") if chosen[k]]
             raise ValueError(f"{name} has no use with {', '.join(choice)}: leave it out")
         others = {"frozen": Frozen(), **{name: Labels(name) for name in get_args(LabelReward)}}
@@ -168,6 +171,8 @@ class Config:
         With another learner or reward, settings that it does not have are dropped.
         """
         now, flat = self.flat(), current(flat)
+        if "discount" in flat and now.get("discriminator_discount") == now["discount"]:
+            del now["discriminator_discount"]  # It goes with the learner's.
         kept = used_settings(now | flat)
         return Config.of(**{name: value for name, value in now.items() if name in kept} | flat)
 

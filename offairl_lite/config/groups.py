@@ -173,7 +173,7 @@ class DiscriminatorConfig(Checked):
     updates: Count | None = None
     """Updates of the discriminator at a training block. None: as many as the block has steps."""
     discount: Fraction = 0.99
-    """γ in f(s, a, s') = r + γ V(s') - V(s): set it to the learner's `discount`."""
+    """γ in f(s, a, s') = r + γ V(s') - V(s): the learner's `discount`, unless it is set apart."""
     reward_hidden: Sizes = (100, 100)
     """Hidden layers of r."""
     shaping_hidden: Sizes = (100, 100)
@@ -182,7 +182,7 @@ class DiscriminatorConfig(Checked):
     """Activation in r and V."""
     reward_sees: Indices | None = None
     """Which dimensions of an observation r sees, by their indices; actions, where it sees actions,
-    it sees whole. None: all of them. V sees all of them in any case."""
+    it sees whole, and the absorbing state it knows. None: all of them. V sees all in any case."""
     gradient_penalty: NonNegative = 10.0
     """Weight of the penalty (‖∇f‖ - 1)², at one random point between an expert's and a policy's
     transition, by all that f sees."""

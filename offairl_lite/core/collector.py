@@ -129,7 +129,8 @@ class Collector:
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
         left = self.members.left
         readings = {"observation": next_obs[left], "reward": reward[left]}
-        require_sound(self.config.env_id, f"step {self.steps}", **readings)
+        seeds = [self.members.seeds[i] for i in left]
+        require_sound(self.config.env_id, f"step {self.steps}", seeds, **readings)
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
         unguided = (self.guided == 0).nonzero().squeeze(1)
@@ -152,7 +153,9 @@ class Collector:
     def _reset(self, done: Bool[np.ndarray, "S"]) -> Float[np.ndarray, "S O"]:
         """Begin new episodes where one is done; return all observations."""
         obs, _ = self.env.reset(options={"reset_mask": done})
-        require_sound(self.config.env_id, f"step {self.steps}", observation=obs[self.members.left])
+        left = self.members.left
+        whose = [self.members.seeds[i] for i in left]
+        require_sound(self.config.env_id, f"step {self.steps}", whose, observation=obs[left])
         return obs
 
     def _draw_guided_steps(self, begins: Bool[np.ndarray, "S"]) -> None:

@@ -154,7 +154,9 @@ class Discriminator:
         # What r must not see, its first layer multiplies with 0.
         self.mask = None
         if config.reward_sees is not None:
-            visible = [*config.reward_sees, *range(layout.obs_dim, inputs)]
+            # The indicator, too: what the end is worth is no matter of what r sees elsewhere.
+            indicator = [layout.obs_dim - 1] * layout.absorbs
+            visible = [*config.reward_sees, *indicator, *range(layout.obs_dim, inputs)]
             self.mask = self.reward_net.mask(visible).to(layout.device)
 
     @torch.no_grad()

@@ -7,7 +7,7 @@ one, there is no discriminator. PPO uses the same loop, but learns from the late
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +28,23 @@ from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, Replay
-from offairl_lite.core.requirements import episode_length, require_fit, require_inputs
+from offairl_lite.core.requirements import (
+    episode_length,
+    require_fit,
+    require_inputs,
+    require_pretrained_reward,
+)
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.scaling import scaling_of
 from offairl_lite.core.shapes import Layout, Metrics
 from offairl_lite.demonstrations import Demonstrations, require_demonstrations
+from offairl_lite.envs import BatchedEnv, SerialEnv
+
+
+class Stop(Exception):
+    """Raised by a callback: the run ends early, with what is there."""
 
 
 class Trainer:
@@ -42,7 +52,8 @@ class Trainer:
 
     The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
     goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `guide_steps`. Transitions are kept in `replay_file`, if
+    acts at the starts of episodes, with `guide_steps`; a learned reward may begin with a
+    `pretrained_reward`, in its scaling. Transitions are kept in `replay_file`, if
     not in memory alone, which can be rewound by `memory` steps, to a checkpoint.
 
     Raises:
@@ -59,9 +70,11 @@ class Trainer:
         guide: Policy | None = None,
         execution: Execution = Execution(),  # noqa: B008
         *,
+        pretrained_reward: Reward | None = None,
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
+        self.pretrained_reward = pretrained_reward
         self.seeds: tuple[int, ...] = checked(
             "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
         )
@@ -70,7 +83,29 @@ class Trainer:
         self.device, population = torch.device(execution.device), len(self.seeds)
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
+        try:
+            self._prepare(
+                env, demonstrations, frozen_reward, pretrained_policy, guide, replay_file, memory
+            )
+        except BaseException:
+            env.close()
+            raise
+
+    def _prepare(
+        self,
+        env: BatchedEnv | SerialEnv,
+        demonstrations: Demonstrations | None,
+        frozen_reward: Reward | None,
+        pretrained_policy: Policy | None,
+        guide: Policy | None,
+        replay_file: Path | None,
+        memory: int,
+    ) -> None:
+        """Make all else, for a task that is open."""
+        config, execution, population = self.config, self.execution, len(self.seeds)
         self.dims = require_fit(config, env, frozen_reward, pretrained_policy, guide)
+        if (reward := self.pretrained_reward) is not None:
+            require_pretrained_reward(config, self.seeds, reward, pretrained_policy, self.dims[0])
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
         self.demonstrations: Batch | None = None
@@ -157,7 +192,8 @@ class Trainer:
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
         policy, replay = self.pretrained_policy, self.collector.replay
-        scaling = scaling_of(self.config, replay, self.demonstrations, policy)
+        kept = self.pretrained_reward if policy is None else policy
+        scaling = scaling_of(self.config, replay, self.demonstrations, kept)
         for part, fixed in zip(self.normaliser, scaling, strict=True):
             part.copy_(fixed)
         self.learner.init(self.rng)
@@ -165,6 +201,8 @@ class Trainer:
             adopt(self.learner, policy, self.config.pretrained == "primitives")
         if self.discriminator is not None:
             self.discriminator.init(self.rng)
+            if self.pretrained_reward is not None:
+                self.discriminator.reward_params.detach().copy_(self.pretrained_reward.params)
         if self.config.learner.on_policy:
             # It learns from its own actions alone.
             self.blocks_due.clear()
@@ -313,7 +351,7 @@ def complete(
     """Take a trainer, a new one or one that was restored, to its end.
 
     `on_advance` is called after each block and each evaluation, with the rows of an evaluation if
-    it was one; a StopIteration of its own ends the run there.
+    it was one; if it raises `Stop`, the run ends there.
     """
     run = Run(trainer.config, trainer.seeds, diverged=trainer.members.diverged)
     total, first = trainer.config.total_steps, trainer.trained
@@ -325,8 +363,11 @@ def complete(
                 bar.set_postfix_str("return " + " ".join(f"{row.mean_return:.4g}" for row in rows))
             try:
                 on_advance(rows)
-            except StopIteration:
+            except Stop:
                 break
+            except StopIteration as error:  # Once this ended a run, and hid a mistake.
+                why = "a callback has raised StopIteration: to end a run early, raise loop.Stop"
+                raise RuntimeError(why) from error
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         start, end = trainer.schedule.learning_starts, trainer.steps
@@ -344,6 +385,7 @@ def train(
     frozen_reward: Reward | None = None,
     *,
     pretrained_policy: Policy | None = None,
+    pretrained_reward: Reward | None = None,
     guide: Policy | None = None,
     execution: Execution = Execution(),  # noqa: B008
     progress: bool = True,
@@ -352,15 +394,25 @@ def train(
     """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
 
     `on_evaluation` is called after each evaluation with a row for each member, for logging; to end
-    early with what is there, it raises StopIteration. `progress` shows a bar.
+    early with what is there, it raises `Stop`. `progress` shows a bar. The number of PyTorch's
+    threads is that of `execution` until the end, and then what it was.
     """
 
     def on_advance(rows: list[Row]) -> None:
         if rows and on_evaluation is not None:
             on_evaluation(rows)
 
-    trainer = Trainer(
-        config, seeds, demonstrations, frozen_reward, pretrained_policy, guide, execution
-    )
-    with closing(trainer):
+    with ExitStack() as afterwards:
+        afterwards.callback(torch.set_num_threads, torch.get_num_threads())
+        trainer = Trainer(
+            config,
+            seeds,
+            demonstrations,
+            frozen_reward,
+            pretrained_policy,
+            guide,
+            execution,
+            pretrained_reward=pretrained_reward,
+        )
+        afterwards.callback(trainer.close)
         return complete(trainer, progress, on_advance)

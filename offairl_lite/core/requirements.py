@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
+import torch
+
 from offairl_lite.config import Config, DiscriminatorConfig
 from offairl_lite.core.networks import Population
 from offairl_lite.core.policies import Policy, make_actor
-from offairl_lite.core.rewards import Reward
+from offairl_lite.core.rewards import IMPLEMENTATIONS, Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
@@ -68,7 +70,6 @@ def require_fit(
 ) -> tuple[int, int]:
     """Return O and A as networks see them; ValueError if earlier networks see other numbers."""
     (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
-    obs_dim += config.schedule.absorbing != "none"
     discriminator = config.discriminator
     sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
     if sees is not None and max(sees) >= obs_dim:
@@ -76,6 +77,7 @@ def require_fit(
             f"reward_sees is {sees}; observations of {config.env_id} have {obs_dim} numbers, so "
             f"expected are indices from 0 to {obs_dim - 1}"
         )
+    obs_dim += config.schedule.absorbing != "none"
     if reward is not None:
         _require_reward_fits(config, reward, obs_dim, action_dim)
     actor = make_actor(config.learner, obs_dim, action_dim)
@@ -90,6 +92,41 @@ def require_fit(
             f"{guide.actor.action_dim}; this run has {obs_dim} and {action_dim}"
         )
     return obs_dim, action_dim
+
+
+def require_pretrained_reward(
+    config: Config, seeds: Sequence[int], reward: Reward, policy: Policy | None, obs_dim: int
+) -> None:
+    """Raise ValueError unless a run can begin with a reward, and with a policy beside it."""
+    if not isinstance(reward, Reward):
+        raise ValueError(f"pretrained_reward is {reward!r}; expected a Reward")
+    discriminator = config.discriminator
+    if not isinstance(discriminator, DiscriminatorConfig) or discriminator.kind:
+        raise ValueError("a pretrained reward is for runs that learn one, without an ablation")
+    if len(reward) != len(seeds):
+        raise ValueError(
+            f"the pretrained reward has {len(reward)} members for {len(seeds)} seeds: give as many"
+        )
+    sees, hidden = reward.normaliser.mean.shape[-1], reward.net.sizes[1:-1]
+    kind = IMPLEMENTATIONS.get(config.reward)
+    state_only = kind is not None and kind.state_only
+    there, here = (
+        (sees, hidden, reward.state_only),
+        (obs_dim, discriminator.reward_hidden, state_only),
+    )
+    if there != here:
+        raise ValueError(
+            f"the pretrained reward sees {sees} numbers of an observation, has the layers {hidden} "
+            f"and is {'r(s)' if reward.state_only else 'r(s, a)'}; this run's sees {obs_dim}, has "
+            f"{discriminator.reward_hidden} and is {'r(s)' if state_only else 'r(s, a)'}: give "
+            "the settings of the run that it is from"
+        )
+    scales = [] if policy is None else zip(reward.normaliser, policy.normaliser, strict=True)
+    if not all(torch.equal(one, other) for one, other in scales):
+        raise ValueError(
+            "the pretrained policy and the pretrained reward scale observations differently: give "
+            "those of one run, or only one of them"
+        )
 
 
 def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_dim: int) -> None:

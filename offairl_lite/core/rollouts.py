@@ -30,12 +30,13 @@ def faulty(reading: np.ndarray) -> np.ndarray:
     return ~(np.abs(reading) <= LARGEST)
 
 
-def require_sound(env_id: str, when: str, **readings: np.ndarray) -> None:
-    """Raise ValueError, with the number, if a task gives one that is `faulty`."""
+def require_sound(env_id: str, when: str, seeds: Sequence[int], **readings: np.ndarray) -> None:
+    """Raise ValueError, with the number and whose it is, if a task gives one that is `faulty`."""
     for name, reading in readings.items():
         for i, *place in np.argwhere(faulty(reading)).tolist():
             value = f"{name}{place or ''} is {reading[i, *place]:.6g}, {FAULTY}"
-            raise ValueError(f"{env_id} is at fault in {when}: its {value}; mend it")
+            whose = f"{env_id}, seed {seeds[i]}, is at fault in {when}"
+            raise ValueError(f"{whose}: its {value}; mend it")
 
 
 class Episodes(NamedTuple):
@@ -102,20 +103,31 @@ def require_end(env_id: str, steps: int, limit: int) -> None:
 
 
 @torch.no_grad()
-def action(policy: Policy, obs: Float[np.ndarray, "O"], space: Box) -> Float[np.ndarray, "A"]:
-    """Return what a one-member policy does: its mode, in the units of the task.
+def action(
+    policy: Policy,
+    obs: Float[np.ndarray, "*B O"],
+    space: Box,
+    noise: Float[np.ndarray, "*B A"] | None = None,
+) -> Float[np.ndarray, "*B A"]:
+    """Return what a one-member policy does, in the units of the task: its mode, or with `noise`.
 
-    `obs` is an observation as the task itself gives it. `space` is that of the task's actions,
-    `env.action_space`, whose bounds a policy knows as -1 and 1. It is never NaN, but a ValueError.
+    `obs` is an observation as the task itself gives it, or a batch. `space` is that of the task's
+    actions, `env.action_space`, whose bounds a policy knows as -1 and 1. The noise is standard
+    normal. An action is never NaN, but a ValueError.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
     require_actions(policy, space)
     array = np.asarray(obs)
-    if array.ndim != 1 or array.dtype.kind not in "biuf":
+    if array.ndim not in (1, 2) or array.dtype.kind not in "biuf":
         raise ValueError(f"obs is {obs!r}; expected numbers of shape ({policy.actor.obs_dim},)")
-    x = torch.tensor(array, dtype=torch.float32, device=policy.params.device)
-    unit = policy.act(x.view(1, 1, -1)).flatten().cpu().numpy()
+    x, *noises = (
+        torch.tensor(part, dtype=torch.float32, device=policy.params.device)
+        for part in (array, noise)
+        if part is not None
+    )
+    inputs = (part.view(1, -1, part.shape[-1]) for part in (x, *noises))
+    unit = policy.act(*inputs)[0].cpu().numpy().reshape(*array.shape[:-1], -1)
     scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
     if not (x.isfinite().all() and np.isfinite(scaled).all()):
         raise ValueError(f"obs is {obs}, and the action {scaled}; expected finite numbers")
@@ -167,7 +179,8 @@ def rollout(
                 action = actions[:, :, len(steps)].reshape(-1, action_dim)
             next_obs, reward, terminated, truncated, _ = env.step(action)
             readings = {"observation": next_obs[running], "reward": reward[running]}
-            require_sound(env_id, f"step {len(steps)} of an episode", **readings)
+            whose = np.repeat(seeds, episodes)[running].tolist()
+            require_sound(env_id, f"step {len(steps)} of an episode", whose, **readings)
             steps.append((obs, action, next_obs, reward, running & terminated, running))
             done = terminated | truncated
             running, obs = running & ~done, next_obs

@@ -11,15 +11,19 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, Replay
+from offairl_lite.core.rewards import Reward
 
 
 def scaling_of(
-    config: Config, replay: Replay, demonstrations: Batch | None, pretrained: Policy | None
+    config: Config,
+    replay: Replay,
+    demonstrations: Batch | None,
+    pretrained: Policy | Reward | None,
 ) -> Normaliser:
     """Return the scaling by what each member has seen and, half and half, what it was shown.
 
-    The absorbing state, which is no place on the map, is left out. A pretrained policy keeps its
-    own scaling.
+    The absorbing state, which is no place on the map, is left out. A pretrained policy, or reward,
+    keeps its own scaling.
     """
     if pretrained is not None:
         return pretrained.normaliser

@@ -13,12 +13,14 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 import importlib
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from difflib import get_close_matches
 
 import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Box, Dict, Discrete, Space
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 
 from offairl_lite.config.settings import Count, checked
@@ -26,8 +28,8 @@ from offairl_lite.envs.batched import BatchedEnv, member_seeds
 from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
-__all__ = ["TASKS", "BatchedEnv", "SerialEnv", "SingleEnv", "TaskError"]
-__all__ += ["make", "require_boxes", "spec"]
+__all__ = ["TASKS", "BatchedEnv", "OneHotActions", "SerialEnv", "SingleEnv", "TaskError"]
+__all__ += ["make", "require_boxes", "spaces", "spec"]
 
 
 class SingleEnv(gymnasium.Env):
@@ -57,6 +59,30 @@ class SingleEnv(gymnasium.Env):
     def render(self) -> np.ndarray:
         """Return the current frame, (height, width, 3) uint8."""
         return self._members.render()[0]
+
+
+class OneHotActions(gymnasium.ActionWrapper, RecordConstructorArgs):
+    """A task with n discrete actions, as one with n numbers in [-1, 1]: the largest is chosen.
+
+    `encode` turns recorded actions into such numbers.
+    """
+
+    def __init__(self, env: gymnasium.Env):
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        if not isinstance(env.action_space, Discrete):
+            raise ValueError(f"actions are {env.action_space}; expected gymnasium.spaces.Discrete")
+        self._discrete = env.action_space
+        self.action_space = Box(-1, 1, (int(env.action_space.n),), np.float32)
+
+    def action(self, action: np.ndarray) -> np.integer:
+        """Return the discrete action for n numbers (n,)."""
+        return self._discrete.start + np.argmax(action)
+
+    def encode(self, actions: np.ndarray) -> np.ndarray:
+        """Return discrete actions (...) as numbers (..., n): 1 for the one chosen, -1 elsewhere."""
+        chosen = np.asarray(actions)[..., None] - self._discrete.start
+        return np.where(chosen == np.arange(self._discrete.n), 1, -1).astype(np.float32)
 
 
 def spec(env_id: str) -> EnvSpec:
@@ -92,24 +118,56 @@ def spec(env_id: str) -> EnvSpec:
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
     """Return a task's spaces; ValueError unless both are boxes with one axis.
 
-    The action space must consist of floats with finite bounds, low < high.
+    The action space must consist of floats with finite bounds, low < high. The message says how to
+    wrap a task that has others.
     """
     for name, space in (("observation", observation_space), ("action", action_space)):
         if not isinstance(space, Box) or len(space.shape) != 1 or 0 in space.shape:
+            cure = "see gymnasium.wrappers.FlattenObservation"
+            if isinstance(space, Dict):
+                keys = ", ".join(map(str, space))
+                cure = f"FlattenObservation puts its parts one after another: {keys}"
+            if isinstance(space, Discrete):
+                cure = "offairl_lite.envs.OneHotActions chooses the action whose number is largest"
             raise ValueError(
                 f"{env_id}: the {name} space {space} is not supported; observations and actions "
-                "must each be a gymnasium.spaces.Box with one axis, not empty (see "
-                "gymnasium.wrappers.FlattenObservation)"
+                "must each be a gymnasium.spaces.Box with one axis, not empty. Wrap the task, in a "
+                f"function that gymnasium.register is given: {cure}"
             )
     assert isinstance(observation_space, Box)
     assert isinstance(action_space, Box)
-    bounded = action_space.is_bounded() and (action_space.low < action_space.high).all()
-    if not bounded or not np.issubdtype(action_space.dtype, np.floating):
+    if not np.issubdtype(action_space.dtype, np.floating):
         raise ValueError(
-            f"{env_id}: the action space {action_space} must be a Box of floats with finite "
-            "bounds, low < high: round in the task's own step, and leave out what cannot be chosen"
+            f"{env_id}: the action space {action_space} must be a Box of floats: round in the "
+            "task's own step"
+        )
+    if not action_space.is_bounded():
+        raise ValueError(
+            f"{env_id}: the action space {action_space} has no bounds, from which random actions "
+            "are drawn: give it some that no demonstrated action exceeds, gymnasium."
+            "wrappers.TransformAction(env, lambda a: a, gymnasium.spaces.Box(-10, 10, "
+            f"{action_space.shape}))"
+        )
+    if not (action_space.low < action_space.high).all():
+        raise ValueError(
+            f"{env_id}: the action space {action_space} must have low < high: leave out what "
+            "cannot be chosen"
         )
     return observation_space, action_space
+
+
+_SPACES: dict[str, tuple[EnvSpec, Box, Box]] = {}
+"""The spaces of tasks that were made, as long as they are registered as they were."""
+
+
+def spaces(env_id: str) -> tuple[Box, Box]:
+    """Return a task's spaces of observations and actions; it is made once for that, if ever."""
+    registered = spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
+    if env_id not in _SPACES or _SPACES[env_id][0] is not registered:
+        with own_code(env_id, "making"), closing(gymnasium.make(env_id)) as env:
+            boxes = env.observation_space, env.action_space
+        _SPACES[env_id] = registered, *require_boxes(env_id, *boxes)
+    return _SPACES[env_id][1:]
 
 
 def make(
@@ -148,13 +206,20 @@ def make(
             autoreset_mode=AutoresetMode.DISABLED,
             render_mode=render_mode,
         )
-    spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
+    registered = spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
     # An environment without frames need not have this argument.
     options: dict = {} if render_mode is None else {"render_mode": render_mode}
-    with own_code(env_id, "making"):
-        members = [gymnasium.make(env_id, **options) for _ in seeds]
-    _, units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
-    return SerialEnv(members, units, seeds)
+    members: list[gymnasium.Env] = []
+    with ExitStack() as undo:
+        for _ in seeds:
+            with own_code(env_id, "making"):
+                members.append(gymnasium.make(env_id, **options))
+            undo.callback(members[-1].close)
+        seen, units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
+        env = SerialEnv(members, units, seeds)
+        undo.pop_all()
+    _SPACES[env_id] = registered, seen, units
+    return env
 
 
 for _id in filter(lambda _id: _id.startswith("offairl/"), TASKS):

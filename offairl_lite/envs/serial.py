@@ -1,10 +1,14 @@
 """Members of any Gymnasium task, stepped one after another."""
 
+import linecache
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
+from importlib.metadata import packages_distributions, version
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils import seeding
@@ -39,8 +43,35 @@ def own_code(task: object, what: str) -> Iterator[None]:
     except (gymnasium.error.Error, ImportError):
         raise
     except Exception as error:
-        why = f"{type(error).__name__}: {error}"
-        raise TaskError(f"{task} has failed in its {what}, {why}") from error
+        raise TaskError(f"{task} has failed in its {what}, {_explained(error)}") from error
+
+
+def _explained(error: Exception) -> str:
+    """Return what an exception says; of one without words where it is from, with what versions."""
+    if str(error):
+        return f"{type(error).__name__}: {error}"
+    frame, line = list(traceback.walk_tb(error.__traceback__))[-1]
+    file, module = frame.f_code.co_filename, frame.f_globals.get("__name__", "").partition(".")[0]
+    said = (
+        f"{type(error).__name__} in {file}, line {line}, `{linecache.getline(file, line).strip()}`"
+    )
+    for name in packages_distributions().get(module, [])[:1]:
+        said += (
+            f". That is {name} {version(name)}, with MuJoCo {mujoco.__version__}, which this "
+            f"package needs: if it was made for an older MuJoCo, install a version of {name} that "
+            "takes this one"
+        )
+    return said
+
+
+def as_reward(task: object, reward: object) -> float:
+    """Return a task's reward as a number; ValueError if it is none."""
+    if reward is None or np.ndim(reward) or np.asarray(reward).dtype.kind not in "biuf":  # type: ignore
+        raise ValueError(
+            f"{task}: its step has returned {reward!r} for a reward; expected a number, 0.0 where "
+            "there is none"
+        )
+    return float(reward)  # type: ignore[arg-type]
 
 
 class SerialEnv(SyncVectorEnv):
@@ -151,10 +182,10 @@ class SerialEnv(SyncVectorEnv):
             step = self.envs[i].step(np.clip(scaled, self._units.low, self._units.high))
             obs, reward, terminated, truncated, _ = step
             self._observe(i, obs)
-            ends = float(reward), bool(terminated), bool(truncated)
+            ended = bool(terminated), bool(truncated)
         self._clock[i] += 1
-        self._idle[i] = terminated or truncated
-        return ends
+        self._idle[i] = any(ended)
+        return as_reward(self, reward), *ended
 
     def _observe(self, i: int, observation: np.ndarray) -> None:
         """Keep a member's observation; ValueError if it does not fit the space."""

@@ -183,6 +183,6 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             "west": {"env_id": WEST},
             "true-west": {"env_id": WEST, **base.EXPERT},
         },
-        reward_from="marsh-imitation",
+        reward_from="marsh-imitation/implementation-4",
     ),
 }

@@ -22,10 +22,11 @@ from gymnasium.spaces.utils import flatdim
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.config import flat_settings
+from offairl_lite.config import Config, DiscriminatorConfig, flat_settings
 from offairl_lite.core.collector import part_of
 from offairl_lite.core.loop import Trainer, replay_slots
-from offairl_lite.core.networks import load_weights, save_weights
+from offairl_lite.core.networks import StackedMLP, load_weights, save_weights
+from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Replay
 from offairl_lite.runs import records
 from offairl_lite.runs.inputs import digest
@@ -174,13 +175,26 @@ def most_steps_between(spec: RunSpec) -> int:
 
 
 def disk_space(spec: RunSpec) -> int:
-    """Return the bytes that a run takes at most: its replay, and a margin for all else."""
+    """Return the bytes that a run takes at most: replay, policies, and a margin for all else."""
     schedule = spec.config.schedule
-    with closing(envs.make(schedule.env_id, 1, 0)) as env:
-        obs, action = flatdim(env.single_observation_space), flatdim(env.single_action_space)
-    width = 2 * (obs + (schedule.absorbing != "none")) + action + 2
+    obs, action = map(flatdim, envs.spaces(schedule.env_id))
+    obs += schedule.absorbing != "none"
     rows = replay_slots(schedule, most_steps_between(spec))
-    return len(spec.seeds) * (4 * rows * width + MARGIN)
+    numbers = rows * (2 * obs + action + 2) + evaluations(spec) * weights(spec.config, obs, action)
+    return len(spec.seeds) * (4 * numbers + MARGIN)
+
+
+def evaluations(spec: RunSpec) -> int:
+    """Return how often a run is evaluated at most, and its policy and reward are kept."""
+    return spec.config.total_steps // spec.config.schedule.eval_every + 1
+
+
+def weights(config: Config, obs: int, action: int) -> int:
+    """Return the numbers in a policy and a learned reward of one member."""
+    total = make_actor(config.learner, obs, action).num_params
+    if isinstance(config.discriminator, DiscriminatorConfig):
+        total += StackedMLP((obs + action, *config.discriminator.reward_hidden, 1)).num_params
+    return total
 
 
 def require_room(place: Path, space: int) -> None:

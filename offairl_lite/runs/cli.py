@@ -1,7 +1,6 @@
 """The command line, `offairl`: one function for each of its commands."""
 
 import inspect
-import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
@@ -78,6 +77,7 @@ def demos(
     dataset: str | None = None,
     experts: int | Literal["best"] | None = None,
     policy: str | None = None,
+    step: int | None = None,
 ) -> None:
     """Make demonstrations of a task where there are none yet, check them, and say what they are.
 
@@ -91,6 +91,7 @@ def demos(
         experts: of how many of the shipped experts, or of the best; by default of all.
         policy: a run's folder, or a policy's file, to make the data set of: all members take
             turns, and actions are sampled.
+        step: of the run's evaluation whose policies act; by default those of its end.
     """
     launch.Given(dataset, experts=experts).require_use([CORRECTED], launch.Given())
     if trajectories is None:
@@ -101,7 +102,7 @@ def demos(
                 f"--policy {policy} makes a data set, which needs a name: add --dataset "
                 "own/trained-v0, or another that is new"
             )
-        demonstrations.generate(_policy(policy), env_id, trajectories, dataset)
+        demonstrations.generate(_policy(policy, step), env_id, trajectories, dataset)
     data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     lengths, returns = np.array(data.lengths), data.returns
     ended = data.transitions.terminated[lengths.cumsum() - 1].numpy() == 1
@@ -169,6 +170,7 @@ def watch(
     seed: int = 0,
     max_steps: int = 200,
     out: Path = Path("film.mp4"),
+    step: int | None = None,
 ) -> None:
     """Film one episode of a policy.
 
@@ -179,12 +181,13 @@ def watch(
         seed: of the episode.
         max_steps: where to stop at the latest; the film runs at the task's own speed, render_fps.
         out: the MP4 file to write, in a folder that may be new.
+        step: of the run's evaluation whose policy acts; by default that of its end.
     """
     if out.suffix != ".mp4":
         raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
     for path in Path(what).rglob("config.json") if env_id is None else ():
         folders.known(path.parent, command="watch")
-    policy = _policy(what).member(member)
+    policy = _policy(what, step).member(member)
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
     task = env_id or policy.env_id
@@ -196,11 +199,11 @@ def watch(
     print(f"{out}: {len(pictures)} frames of {task}")
 
 
-def _policy(what: str) -> Policy:
+def _policy(what: str, step: int | None) -> Policy:
     """Return the policy of a run, of a file, or of a task with shipped experts."""
     path = Path(what)
     if path.exists() or path.suffix == ".safetensors":
-        return inputs.load_one(path, Policy)
+        return inputs.load_one(path, Policy, step)
     # A folder's name may end like a task's: runs/Hopper is not Hopper-v5.
     if what not in gymnasium.registry:
         raise FileNotFoundError(
@@ -219,14 +222,17 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
         follow: go on writing until the run has ended; one that was killed may be resumed.
     """
     folder = out or run / "tensorboard"
-    if out is None and folder.is_dir():
-        shutil.rmtree(folder)  # Written by this command, before the run went on.
-    count = logs.export(run, folder, follow)
+    count = logs.export(run, folder, follow, anew=out is None)
     print(f"{count} evaluations written; to look at them: tensorboard --logdir {folder}")
 
 
 def export(
-    run: Positional[Path], *, out: Path, member: int | None = None, env_id: str | None = None
+    run: Positional[Path],
+    *,
+    out: Path,
+    member: int | None = None,
+    env_id: str | None = None,
+    step: int | None = None,
 ) -> None:
     """Write the policies and rewards of a run for programs that know nothing of this package.
 
@@ -237,11 +243,12 @@ def export(
         run: the folder of a run that has ended.
         out: the folder for the files; those of an earlier export are overwritten.
         member: which member of the population; by default every one that has not diverged.
+        step: of the evaluation whose policies and rewards are written; by default those of the end.
         env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
     """
     for part in records.run_folders(run):
         folders.known(part, env_id, f"export --out {out}")
-    notes = exports.export(run, out, member)
+    notes = exports.export(run, out, member, step)
     print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")
 

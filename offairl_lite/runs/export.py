@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from jaxtyping import Float
 from torch import Tensor
 
-from offairl_lite import minari_storage
+from offairl_lite import envs
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
@@ -64,7 +64,9 @@ class InUnits(torch.nn.Module):
         return self.thing(obs[None], action)[0]
 
 
-def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
+def export(
+    folder: Path, out: Path, member: int | None = None, step: int | None = None
+) -> list[str]:
     """Write the policy and the reward of each member of a run, or of one, to files of their own.
 
     They are `policy-0.onnx`, `policy-0.pt2`, `reward-0.onnx` and so on, after the member's number;
@@ -74,13 +76,13 @@ def export(folder: Path, out: Path, member: int | None = None) -> list[str]:
     FileNotFoundError says that the run has not ended; ValueError that there is no such member, or
     that it has diverged.
     """
-    run = records.read(folder)
+    run = records.read(folder, step)
     records.beginning(out)  # It says that a file is in the way.
     members, notes = _members(run, folder, member)
     if run.policy is run.reward is None:
         inputs.load_one(folder, Policy)  # It says what to do.
     env_id = run.config.env_id
-    _, box, space = minari_storage.closed_task(env_id)
+    box, space = envs.spaces(env_id)
     how = ONNX + TORCH
     if find_spec("onnxscript") is None:
         how = TORCH

@@ -19,11 +19,12 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import gymnasium
+import torch
 
 from offairl_lite import envs
 from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core.acceleration import Execution
-from offairl_lite.core.loop import Trainer, complete, train
+from offairl_lite.core.loop import Stop, Trainer, complete, train
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
@@ -34,11 +35,17 @@ from offairl_lite.runs.records import RunSpec, again, origin, read_state, run_fo
 log = logging.getLogger(__name__)
 
 
-def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) -> None:
+def create(
+    folder: Path,
+    spec: RunSpec,
+    given: Mapping[str, Policy | Reward],
+    shown: Demonstrations | None = None,
+) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
 
     The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
-    `given` is what the run has of other runs, as `inputs.load` returns it.
+    `given` is what the run has of other runs, as `inputs.load` returns it, `shown` demonstrations
+    of which it keeps a copy.
     """
     there = records.beginning(folder)
     taken = FileExistsError(
@@ -61,6 +68,8 @@ def create(folder: Path, spec: RunSpec, given: Mapping[str, Policy | Reward]) ->
         write_json(made / "run.json", {**begun, **origin(Execution(**spec.execution))})
         for name, thing in given.items():
             thing.save(made / f"{name}.safetensors")
+        if shown is not None:
+            inputs.keep_demonstrations(made, shown)
         spec.write(made)
         try:
             if there != folder:
@@ -179,12 +188,21 @@ class _Worker:
     def keep(self, rows: list[Row]) -> None:
         """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
         if rows:
+            self.keep_results()
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
             self.note("running")
             self.draw()
         if self.done - self.saved >= self.spec.checkpoint_every:
             self.checkpoint()
+
+    def keep_results(self) -> None:
+        """Keep the policies and the rewards of an evaluation, before the curve speaks of it."""
+        learned = None if self.trainer.discriminator is None else self.trainer.reward
+        for result in (self.trainer.policy, learned):
+            if result is not None:
+                name = records.file_name(type(result), self.trainer.steps)
+                records.write_whole(self.folder / name, result.save)
 
     def draw(self) -> None:
         """Bring the run's picture up to date; where that fails, the run goes on without."""
@@ -257,10 +275,36 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
             spec.write(path)
 
 
+def copy(source: Path, target: Path) -> None:
+    """Copy a run folder, whole or not at all; a run that is at `target` is replaced.
+
+    FileExistsError says that something else is there; OSError that the run is at work.
+    """
+    RunSpec.read(source)
+    source, target = source.resolve(), target.resolve()
+    there = records.beginning(target) == target and any(target.iterdir())
+    if there and not (target / "config.json").is_file():
+        raise FileExistsError(f"{target} is not empty, and no run: choose another place")
+    if source == target:
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as hidden:
+        new, old = Path(hidden) / "new", Path(hidden) / "old"
+        with checkpoints.lock(source):
+            shutil.copytree(source, new, ignore=shutil.ignore_patterns("lock", ".*"))
+        with ExitStack() as undo:
+            if target.exists():
+                os.replace(target, old)
+                undo.callback(os.replace, old, target)
+            os.replace(new, target)
+            undo.pop_all()
+
+
 def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[int]) -> None:
     """Raise ValueError unless a run can have further members of these seeds."""
     there = records.read(folder).seeds  # It refuses several configurations.
-    if names := inputs.needed(next(iter(specs.values())).config):
+    first = next(iter(specs.values()))
+    if names := {**inputs.needed(first.config), **first.inherited}:
         raise ValueError(
             f"{folder} has of another run the {' and the '.join(names).replace('_', ' ')}, of "
             f"{len(there)} members and none for further seeds: start a run of its own"
@@ -289,7 +333,7 @@ def verify(
 
     def keep(rows: list[Row]) -> None:
         here.update({(row.seed, row.step): row for row in rows})
-        raise StopIteration
+        raise Stop
 
     with suppress(FloatingPointError):  # Every member diverges.
         train(
@@ -336,7 +380,8 @@ def one_line() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
         known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
-        if "allocate" in (why := str(error)) or isinstance(error, MemoryError):
+        why = str(error)
+        if _lacks_memory(error):
             cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
             why = f"there is not enough memory: {cure}"
         elif not isinstance(error, known):
@@ -344,6 +389,14 @@ def one_line() -> Iterator[None]:
         elif getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
             why = "the disk is full: free some of it"
         sys.exit("; ".join([f"offairl: {why}", *getattr(error, "__notes__", ())]))
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Tell whether memory is what is missing; PyTorch has no type of its own for that on a CPU."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    known = isinstance(error, MemoryError | torch.OutOfMemoryError)
+    return known or (type(error) is RuntimeError and "DefaultCPUAllocator" in str(error))
 
 
 if __name__ == "__main__":

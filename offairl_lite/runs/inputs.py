@@ -12,11 +12,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from offairl_lite import demonstrations as data
 from offairl_lite.config import Config, Labels
+from offairl_lite.core.networks import load_weights, save_weights
 from offairl_lite.core.policies import Policy
+from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs.records import RunSpec, again, file_name, join, read, run_folders
@@ -26,9 +29,13 @@ log = logging.getLogger(__name__)
 CURES = {
     "frozen_reward": "--reward frozen",
     "pretrained_policy": "--pretrained policy",
+    "pretrained_reward": "--reward r-s",
     "guide": "--guide-steps 50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
+
+COPY = "demonstrations.safetensors"
+"""Where a run folder has demonstrations that could not be loaded again."""
 
 
 def needed(config: Config) -> dict[str, Any]:
@@ -48,7 +55,8 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     than the seeds. ValueError says that a file is needed and not given, or holds something else.
     """
     found = {}
-    for name, kind in needed(config).items():
+    optional = {"pretrained_reward": Reward} if files.get("pretrained_reward") else {}
+    for name, kind in {**needed(config), **optional}.items():
         if not files.get(name):
             raise ValueError(
                 f"a {name.replace('_', ' ')} of another run is needed: give "
@@ -71,12 +79,19 @@ def why_no_reward(config: Config) -> str | None:
     return None
 
 
-def load_one(path: str | PathLike, kind: Any) -> Any:
-    """Return the policies, or the rewards, of a file or of a run that has ended."""
+def load_one(path: Any, kind: Any, step: int | None = None) -> Any:
+    """Return the policies, or the rewards, of a file or of a run that has ended, or at a `step`.
+
+    What is such a thing already is returned as it is.
+    """
+    if isinstance(path, kind):
+        return path
     path = Path(path)
     if not (path.is_dir() and any(path.rglob("config.json"))):
+        if step is not None:
+            raise ValueError(f"{path} is no run's folder, in which there are steps: leave out step")
         return kind.load(path / file_name(kind) if path.is_dir() else path)
-    run = read(path)
+    run = read(path, step)
     found = run.policy if kind is Policy else run.reward
     if found is None and kind is Reward and (why := why_no_reward(run.config)):
         raise ValueError(f"{path} has no reward to use again: {why}")
@@ -104,9 +119,14 @@ def inherited(
     """Return what `config.json` says of things from other runs: all of the files', or `members`."""
     part = {} if members is None else {"members": [*members]}
     return {
-        name: {"files": [*map(str, files.get(name, ()))], **part, "digest": digest_of(thing)}
+        name: {"files": _paths(files.get(name, ())), **part, "digest": digest_of(thing)}
         for name, thing in things.items()
     }
+
+
+def _paths(files: Sequence[Any]) -> list[str]:
+    """Return the names of files; what was given as it is has none."""
+    return [str(file) for file in files if isinstance(file, str | PathLike)]
 
 
 def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
@@ -115,7 +135,8 @@ def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
     A record may lack the copies. They are then made again from the files that the run names.
     """
     found = {}
-    for name, kind in needed(spec.config).items():
+    optional = {n: Reward for n in spec.inherited if n == "pretrained_reward"}
+    for name, kind in {**needed(spec.config), **optional}.items():
         copy, about = folder / f"{name}.safetensors", spec.inherited.get(name, {})
         where = [copy] if copy.is_file() else about.get("files") or [copy]
         thing = join([load_one(file, kind) for file in where])
@@ -147,7 +168,11 @@ def demonstrations_of(
     """
     if (shown := spec.demonstrations) is None:
         return None
-    if given is None:
+    if given is None and (copy := folder / COPY).is_file():
+        tensors, _ = load_weights(copy, "demonstrations")
+        lengths, returns = (tuple(tensors.pop(name).tolist()) for name in ("lengths", "returns"))
+        given = Demonstrations(spec.config.env_id, Batch(**tensors), lengths, returns)
+    elif given is None:
         if "dataset" not in shown:
             raise ValueError(
                 f"{folder} began with demonstrations that `demonstrations.load` did not make: give "
@@ -163,6 +188,12 @@ def demonstrations_of(
             "them back, or start a new run"
         )
     return given
+
+
+def keep_demonstrations(folder: Path, shown: Demonstrations) -> None:
+    """Put a copy of demonstrations into a run folder that is being made."""
+    own = {"lengths": torch.tensor(shown.lengths), "returns": torch.tensor(shown.returns)}
+    save_weights(folder / COPY, {**shown.transitions._asdict(), **own}, {"kind": "demonstrations"})
 
 
 def digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:

@@ -6,7 +6,6 @@ over processes.
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,15 +14,13 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations, envs
-from offairl_lite.config import Config, differences
+from offairl_lite.config import Config, DiscriminatorConfig, differences
 from offairl_lite.config.settings import Count, checked
 from offairl_lite.core.acceleration import choose_execution, is_large
-from offairl_lite.core.loop import Trainer
 from offairl_lite.core.results import Run
-from offairl_lite.core.rollouts import LONGEST
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import checkpoints, folders, inputs, jobs, records
+from offairl_lite.runs import checkpoints, folders, inputs, jobs, preflight, records
 from offairl_lite.runs.grid import options, points
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
@@ -46,6 +43,8 @@ class Given:
             Several become one population.
         pretrained_policy: An earlier run, or its policy.safetensors, where `pretrained` is not
             nothing.
+        pretrained_reward: An earlier run, or its reward.safetensors, with which the learned reward
+            begins; as many as seeds, with the settings of that run.
         guide: Policies that act at the start of episodes, where there are `guide_steps`.
         device: Where networks live.
         threads: Threads of PyTorch and of the physics in each process. Small networks need one.
@@ -58,6 +57,7 @@ class Given:
     experts: int | Literal["best"] | None = None
     frozen_reward: tuple[Path, ...] = ()
     pretrained_policy: tuple[Path, ...] = ()
+    pretrained_reward: tuple[Path, ...] = ()
     guide: tuple[Path, ...] = ()
     device: Literal["cpu", "cuda"] = "cpu"
     threads: int = 1
@@ -70,7 +70,10 @@ class Given:
 
     def require_use(self, configs: Iterable[Config], default: "Given") -> None:
         """Raise ValueError where no configuration makes use of what is not the default."""
+        configs = list(configs)
         needed = {name for config in configs for name in inputs.needed(config)}
+        if any(isinstance(config.discriminator, DiscriminatorConfig) for config in configs):
+            needed.add("pretrained_reward")
         cures = inputs.CURES.items()
         unused = {name: f": add {cure}, or" for name, cure in cures if name not in needed}
         if not any(config.imitates for config in configs):
@@ -144,9 +147,11 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
             envs.spec(config.env_id)  # It imports a module that is named.
         frozen = any(config.reward == "frozen" for config in configs.values())
         if frozen and own.reward_from and not given.frozen_reward:
+            other, _, variant = own.reward_from.partition("/")
+            first = f"{other}{f' --only {variant}' if variant else ''} --scale {scale}"
             raise ValueError(
-                f"{name} is paid by the reward of another run: first `offairl run "
-                f"{own.reward_from}`, then add --frozen-reward runs/{own.reward_from}-{scale}"
+                f"{name} is paid by the reward of another run: first `offairl run {first}`, then "
+                f"add --frozen-reward {Path('runs') / f'{other}-{scale}' / variant}"
             )
         given.require_use(configs.values(), default)
         place = out or Path("runs") / f"{'sweep-' if grid else ''}{name}-{scale}"
@@ -183,35 +188,18 @@ def _create(
         if not missing[name]:
             continue
         things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
+        notes = preflight.try_out(env_id, seeds[0])
         if config.imitates:
             asked = given.trajectories, given.dataset, given.subsample, given.experts
             shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
         execution = choose_execution(config, given.device, given.threads, given.compile)
-        # A trainer refuses what does not fit, before anything is written. A small replay will do,
-        # but for GAN-GCL, which compares the replay's size with others.
-        small = {"replay_size": config.schedule.train_every or 1}
-        tried = config if config.reward == "gan-gcl" else config.change(**small)
-        trial = Trainer(tried, seeds, shown, **things, execution=execution)
-        with closing(trial), closing(envs.make(env_id, len(seeds), seeds)) as twin:
-            env = trial.collector.env
-            env.reset()
-            env.step(np.full((len(seeds), trial.dims[1]), 0.5, np.float32))
-            try:
-                twin.set_state(env.get_state())
-            except ValueError as error:  # It trains nevertheless.
-                print(f"note: {error}", file=sys.stderr)
-        ends = int(shown.transitions.terminated.sum()) if given.dataset and shown else 0
-        if ends and config.schedule.absorbing == "none":
-            note = f"note: {ends} of {len(shown or ())} demonstrations terminate; absorbing is none"
-            print(f'{note}: see "Two questions" in book/recipe.md', file=sys.stderr)
+        for note in notes + preflight.check(config, seeds, shown, things):
+            print(f"note: {note}", file=sys.stderr)
         for what, thing in things.items():
             one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
             if one != other and not find(experiment).reward_from:  # These experiments mean it.
                 note = f"note: the {what} is of {one}, this run of {other}; only sizes are checked"
                 print(note.replace("_", " "), file=sys.stderr)
-        if envs.spec(env_id).max_episode_steps is None:
-            note = f"note: {env_id} has no time limit: an episode that does not end is an error"
-            print(f"{note} after {LONGEST:,} steps of an evaluation", file=sys.stderr)
         parts = max(min(spread[name], len(missing[name])), 1)
         for part in np.array_split(missing[name], parts):
             some, folder, own, members = tuple(part.tolist()), place / name, things, None
@@ -238,7 +226,7 @@ def _missing_seeds(
     there: list[int] = []
     now = vars(given) | {name: [*map(str, paths)] for name, paths in given.files.items()}
     now["experts"] = None if given.dataset else given.experts
-    for path in run_folders(folder) if any(folder.rglob("config.json")) else []:
+    for path in records.found(folder):
         spec = RunSpec.read(path)
         files = {name: about["files"] for name, about in spec.inherited.items() if about["files"]}
         was = {**(spec.demonstrations or {}), **files}

@@ -7,6 +7,8 @@
 - `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
   was given of other runs, if anything;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the last end;
+- `evaluations/`: the same of each evaluation, `policy-10000.safetensors`;
+- `demonstrations.safetensors`: a copy, where they were given as arrays;
 - `curve.png`: a picture of the evaluations so far, for whoever watches; no part of the record;
 - `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
@@ -115,24 +117,29 @@ class RunSpec:
 
 def run_folders(folder: str | PathLike) -> list[Path]:
     """Return a run folder, if it is one, and those below it, in the order of their seeds."""
-    folder = Path(folder)
-    # A name that begins with a dot is of a run that is being made.
+    if not (there := found(Path(folder))):
+        RunSpec.read(folder)  # It says what is missing.
+    return there
+
+
+def found(folder: Path) -> list[Path]:
+    """Return what `run_folders` does; nothing if there is none."""
+    # A name that begins with a dot is of a run that is being made, or of one that was not.
     seeds = {
         path.parent: RunSpec.read(path.parent).seeds
         for path in folder.rglob("config.json")
         if not any(part.startswith(".") for part in path.relative_to(folder).parts)
     }
-    if not seeds:
-        RunSpec.read(folder)  # It says what is missing.
     return sorted(seeds, key=lambda path: (seeds[path], path))
 
 
-def read(folder: str | PathLike) -> Run:
-    """Return a recorded run, finished or not.
+def read(folder: str | PathLike, step: int | None = None) -> Run:
+    """Return a recorded run, finished or not, with the policies and rewards of its end.
 
-    Policies and rewards are None until all run folders have theirs, of one length; a run that is
-    extended has those of before until then. FileNotFoundError names what is missing, ValueError
-    what is of another version, or of several configurations.
+    They are None until all run folders have theirs, of one length; a run that is extended has those
+    of before until then. With a `step` they are those of the evaluation at that step, as which the
+    run is returned. FileNotFoundError names what is missing, ValueError what is of another version,
+    or of several configurations, or that there was no evaluation at that step.
     """
     specs = {path: RunSpec.read(path) for path in run_folders(folder)}
     first, spec = next(iter(specs.items()))
@@ -155,16 +162,26 @@ def read(folder: str | PathLike) -> Run:
         rows += _rows(path / "curve.csv", about.get("curve.csv"))
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
-    if len(ends) > 1:  # Some folders of an extended run have what they had before.
+    if step is not None:
+        if step not in (steps := sorted({row.step for row in rows})):
+            raise ValueError(f"{folder} has no evaluation at step {step}; there are: {steps}")
+        rows = [row for row in rows if row.step <= step]
+        results = _results(Policy, specs, step), results[1]
+        if any((path / file_name(Reward, step)).is_file() for path in specs):
+            results = results[0], _results(Reward, specs, step)
+        if results[0] is None:
+            missing = [path / file_name(Policy, step) for path in specs]
+            raise FileNotFoundError(f"{' and '.join(map(str, missing))}: not there, or not all")
+    elif len(ends) > 1:  # Some folders of an extended run have what they had before.
         results = None, None
     config = spec.config.change(env_id=spec.config.env_id.rpartition(":")[2])  # see `Population`
     name = Path(folder).absolute().name
     return Run(config, tuple(seeds), rows, *results, diverged, name)
 
 
-def _results(kind: Any, folders: Iterable[Path]) -> Any:
+def _results(kind: Any, folders: Iterable[Path], step: int | None = None) -> Any:
     """Return the policies, or the rewards, of all run folders; None until each has its own."""
-    files = [folder / file_name(kind) for folder in folders]
+    files = [folder / file_name(kind, step) for folder in folders]
     return join([kind.load(file) for file in files]) if all(map(Path.is_file, files)) else None
 
 
@@ -217,9 +234,10 @@ def join(parts: Sequence[Any]) -> Any:
     return replace(parts[0], params=params, normaliser=Normaliser(*map(torch.cat, pairs)))
 
 
-def file_name(kind: Any) -> str:
-    """Return the name of the file in which a run folder has its policies, or its rewards."""
-    return f"{kind.__name__.lower()}.safetensors"
+def file_name(kind: Any, step: int | None = None) -> str:
+    """Return where a run folder has its policies, or its rewards, at its end or at a step."""
+    name = kind.__name__.lower()
+    return f"{name}.safetensors" if step is None else f"evaluations/{name}-{step}.safetensors"
 
 
 def seeds_name(seeds: Sequence[int]) -> str:

@@ -10,11 +10,12 @@ POLL_S = 10.0
 """Seconds between two looks at a run that is followed."""
 
 
-def export(run: Path, folder: Path, follow: bool = False) -> int:
+def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) -> int:
     """Write the evaluations of a run, each seed as a run of its own, and return their number.
 
     With `follow` it goes on until the run has ended. One that was killed has not: it may be
-    resumed. ImportError says that TensorBoard is not installed.
+    resumed. `anew` replaces what was written before. ImportError says that TensorBoard is not
+    installed, FileExistsError that something else is in the folder.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter
@@ -22,8 +23,13 @@ def export(run: Path, folder: Path, follow: bool = False) -> int:
         raise ImportError(
             "TensorBoard is not installed: pip install -e '.[tensorboard]', in a clone"
         ) from error
-    if any(folder.glob("seed-*/events.*")):
-        raise FileExistsError(f"{folder} has event files already: choose a new folder, --out")
+    old = [path for path in folder.rglob("*") if not path.is_dir()]
+    ours = anew and all(path.match("seed-*/events.out.tfevents.*") for path in old)
+    if old and not ours:
+        raise FileExistsError(f"{folder} has files already, {old[0]}: choose a new folder, --out")
+    records.read(run)  # It says what is wrong, before anything is removed.
+    for path in old:
+        path.unlink()
     written: set[tuple[int, int]] = set()
     while True:
         abouts = [records.read_json(path / "run.json") for path in records.run_folders(run)]

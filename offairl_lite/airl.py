@@ -1,0 +1,234 @@
+"""`AIRL`: imitate demonstrations of a task, and learn their reward."""
+
+import shutil
+import uuid
+import weakref
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from dataclasses import asdict, fields
+from difflib import get_close_matches
+from os import PathLike
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from offairl_lite import demonstrations as data
+from offairl_lite import envs
+from offairl_lite.config import flat_settings
+from offairl_lite.config.settings import Count, Natural, checked
+from offairl_lite.core.acceleration import choose_execution
+from offairl_lite.core.results import Run
+from offairl_lite.core.rollouts import action as act
+from offairl_lite.experiments import find
+from offairl_lite.runs import folders, inputs, preflight, records
+from offairl_lite.runs.export import InUnits
+from offairl_lite.runs.launch import CHECKPOINT_EVERY, Given
+
+Task = str | gymnasium.Env | Callable[[], gymnasium.Env]
+Path_ = str | PathLike
+
+
+class AIRL:
+    """Off-policy AIRL with the recipe's settings: a policy and a reward for each seed.
+
+    It is a run folder, as on the command line, so it can be stopped at any moment and goes on
+    exactly. The folder is a temporary one, unless `folder` names a new one.
+
+    Args:
+        env: the task: a Gymnasium id, an environment, which is copied, or a function that makes
+            one. The ids of `envs.TASKS` are stepped fastest.
+        demonstrations: episodes, flat arrays, a Minari name, a policy: see `demonstrations.of`.
+            None: those of the shipped experts, if a reward is learned.
+        seeds: how many policies to train, or their seeds.
+        folder: where the run is kept.
+        options: those of `offairl run`, such as `absorbing="bootstrap"` where episodes can end
+            early, `hidden=(256, 256)`, `trajectories=4` or `device="cuda"`.
+
+    Raises:
+        TypeError: there is no such option; it names the nearest.
+        ValueError: an argument is not valid, or does not fit the task.
+    """
+
+    def __init__(
+        self,
+        env: Task,
+        demonstrations: Any = None,
+        *,
+        seeds: int | Sequence[int] = 3,
+        folder: Path_ | None = None,
+        **options: Any,
+    ) -> None:
+        many = seeds if np.ndim(seeds) else range(checked("seeds", seeds, Count))
+        self.seeds: tuple[int, ...] = checked("seeds", [*many], tuple[Natural, ...])  # type: ignore
+        if not self.seeds:
+            raise ValueError("seeds are (); expected at least one")
+        known = {field.name for field in fields(Given)}
+        given = {name: options.pop(name) for name in known & options.keys()}
+        given |= {n: _several(given[n]) for n in inputs.CURES if n in given}
+        recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
+        if total := options.pop("total_steps", None):
+            raise TypeError(f"total_steps is an argument of `learn`: AIRL(...).learn({total})")
+        try:
+            reward = {name: options[name] for name in ("reward", "learner") if name in options}
+            config = recipe.change(**reward).change(total_steps=10**9, **options)
+        except ValueError as error:
+            for name in options if "no setting" in str(error) else ():
+                near = get_close_matches(name, known | flat_settings().keys(), 1, 0)
+                if name not in flat_settings():
+                    why = f"AIRL has no option {name!r}; did you mean {near[0]!r}?"
+                    raise TypeError(why) from None
+            raise
+        self.config = config.change(env_id=_task_id(env))
+        notes = preflight.try_out(self.config.env_id, self.seeds[0])
+        self.given, shown = Given(**given), demonstrations
+        few = given.get("trajectories"), self.given.subsample, self.given.experts
+        if config.imitates:
+            shown = self.given.dataset if shown is None else shown
+            shown = data.of(shown, self.config.env_id, *few)
+        elif shown is not None:
+            raise ValueError(f"reward={config.reward!r} has no use for demonstrations: give none")
+        self.demonstrations: data.Demonstrations | None = shown
+        self.inherited = inputs.load(config, self.seeds, **self.given.files)
+        for note in notes + preflight.check(self.config, self.seeds, shown, self.inherited):
+            folders.log.warning(note)
+        self._place(folder)
+
+    def _place(self, folder: Path_ | None) -> None:
+        """Choose where the run is kept; a temporary folder goes with the object."""
+        self.folder = Path(folder or mkdtemp(prefix="airl-"))
+        if folder is None:
+            weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        self._run: Run | None = None
+
+    @property
+    def run(self) -> Run:
+        """The evaluations so far, and the policies and rewards of the last one."""
+        if self._run is None:
+            if not (self.folder / "config.json").is_file():
+                raise ValueError("nothing is learned yet: call learn(100_000) first")
+            self._run = records.read(self.folder)
+            if self._run.policy is None and self._run.rows:  # It was stopped.
+                self._run = records.read(self.folder, self._run.rows[-1].step)
+        return self._run
+
+    def learn(self, steps: int, progress: bool = True) -> "AIRL":
+        """Take so many more steps of the task with each seed, and return the object itself.
+
+        1,000 steps and then 1,000 more are the same as 2,000 at once. The first 1,000 are random.
+        """
+        checked("steps", steps, Count)
+        if (self.folder / "config.json").is_file():
+            folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
+        else:
+            config, own = self.config.change(total_steps=steps), self.given
+            how = asdict(choose_execution(config, own.device, own.threads, own.compile))
+            inherited = inputs.inherited(self.inherited, own.files, None)
+            about = how, inputs.describe(self.demonstrations), CHECKPOINT_EVERY
+            spec = records.RunSpec(config, self.seeds, *about, inherited=inherited)
+            folders.create(self.folder, spec, self.inherited, self.demonstrations)
+        self._run = None
+        folders.work(self.folder, demonstrations=self.demonstrations, progress=progress)
+        return self
+
+    def predict(
+        self,
+        obs: np.ndarray,
+        state: None = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+        *,
+        seed: int | None = None,
+    ) -> tuple[np.ndarray, None]:
+        """Return actions in the task's own units, and None, as Stable-Baselines3 does.
+
+        `obs` is (O,) or (B, O). Unlike there, actions have no noise by default. They are the policy
+        of one seed's: of the first that has not diverged, unless `seed` names another.
+        """
+        policy, space = self.run.policy, envs.spaces(self.config.env_id)[1]
+        if policy is None:
+            raise ValueError("there is no policy before the first evaluation: learn for longer")
+        noise = None
+        if not deterministic:
+            noise = np.random.default_rng().standard_normal((*np.shape(obs)[:-1], *space.shape))
+        return act(policy.member(self._member(seed)), obs, space, noise), None
+
+    def reward(
+        self, obs: np.ndarray, action: np.ndarray | None = None, *, seed: int | None = None
+    ) -> Any:
+        """Return the learned reward of (O,), a float, or of each row of (B, O), an array (B,).
+
+        Observations, and actions if the reward sees them, are in the task's own units. `seed` says
+        whose reward, as in `predict`.
+        """
+        if self.run.reward is None:
+            why = inputs.why_no_reward(self.config) or "none is learned yet"
+            raise ValueError(f"there is no reward: {why}")
+        one = self.run.reward.member(self._member(seed))
+        in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
+        rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
+        if any(x.ndim not in (1, 2) for x in rows):
+            raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
+        found = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
+        return found.numpy() if rows[0].ndim == 2 else found.item()
+
+    def _member(self, seed: int | None) -> int:
+        """Return the number of the member with a seed."""
+        left = [own for own in self.seeds if own not in self.run.diverged]
+        if seed not in (None, *left) or not left:
+            raise ValueError(f"seed is {seed}; there are {left} (diverged: {self.run.diverged})")
+        return self.seeds.index(left[0] if seed is None else seed)
+
+    def save(self, path: Path_) -> None:
+        """Copy the run, and all that it takes to go on, to a folder; a run there is replaced."""
+        if self.run.seeds:  # It says so if nothing is learned yet.
+            folders.copy(self.folder, Path(path))
+
+    @classmethod
+    def load(cls, path: Path_, env: Task | None = None, *, folder: Path_ | None = None) -> "AIRL":
+        """Return a copy of what was saved, or of any other run folder.
+
+        A task of one's own, a function, an environment or an id with a module, is given again.
+        """
+        spec = records.RunSpec.read(path)
+        own = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
+        if (env is None and own) or (isinstance(env, str) and env != spec.config.env_id):
+            raise ValueError(
+                f"{path} was trained on {spec.config.env_id}: give that task, AIRL.load(path, env)"
+            )
+        _task_id(spec.config.env_id if env is None else env, spec.config.env_id)
+        self = cls.__new__(cls)
+        self.seeds, self.config, self.given, self.inherited = spec.seeds, spec.config, Given(), {}
+        self._place(folder)
+        folders.copy(Path(path), self.folder)
+        self.demonstrations = inputs.demonstrations_of(self.folder, spec)
+        return self
+
+
+def _several(files: Any) -> tuple:
+    return tuple(files) if isinstance(files, list | tuple) else (files,)
+
+
+def _task_id(env: Task, env_id: str | None = None) -> str:
+    """Return the id of a task, under which an environment, or a function, is registered."""
+    if isinstance(env, str):
+        envs.spec(env)
+        return env
+    if not isinstance(env, gymnasium.Env) and not callable(env):
+        raise ValueError(f"env is {env!r}; expected a Gymnasium id, an environment, or a function")
+    make: Any = env if callable(env) else lambda: deepcopy(env)
+    first = make()
+    wrapped, limit = first, None
+    while isinstance(wrapped, gymnasium.Wrapper):
+        if isinstance(wrapped, gymnasium.wrappers.TimeLimit):
+            limit = wrapped._max_episode_steps
+        wrapped = wrapped.env
+    env_id = env_id or f"airl/{type(wrapped).__name__}-{uuid.uuid4().hex[:8]}-v0"
+    made = [first]
+    gymnasium.registry.pop(env_id, None)
+    entry_point: Any = lambda: made.pop() if made else make()  # noqa: E731
+    gymnasium.register(env_id, entry_point, max_episode_steps=limit)
+    return env_id

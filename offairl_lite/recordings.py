@@ -1,0 +1,125 @@
+"""Recordings of episodes: out of flat arrays, and of a function that acts."""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from itertools import pairwise
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from tqdm.auto import tqdm
+
+from offairl_lite import minari_storage
+from offairl_lite.core.rollouts import LONGEST, require_end
+from offairl_lite.envs.serial import as_reward
+from offairl_lite.minari_storage import Recording
+
+log = logging.getLogger(__name__)
+
+NAMES = {
+    "obs": ("obs", "observations"),
+    "action": ("action", "actions", "acts"),
+    "starts": ("episode_starts",),
+    "terminated": ("terminated", "terminations", "terminals"),
+    "ends": ("dones", "truncated", "truncations", "timeouts"),
+    "next_obs": ("next_obs", "next_observations"),
+    "reward": ("reward", "rewards"),
+}
+"""What flat arrays are called by Stable-Baselines, D4RL, imitation and Gymnasium."""
+
+
+def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
+    """Cut flat arrays, one row a step, into recordings.
+
+    Episodes are told apart by `episode_starts` or by their ends: `dones`, `truncated` or
+    `timeouts`, and `terminated` or `terminals`, which alone tell an end for good. `obs`, `actions`
+    and `rewards` have one row a step, as in files of Stable-Baselines, which lack the last
+    observation of an episode: its last action, of which nobody knows where it led, is then left
+    out, and with it a termination, of which the log speaks. With `next_obs` nothing is.
+
+    Raises:
+        ValueError: an array is missing or of another length, or all episodes have one step.
+    """
+    found = {part: arrays[n] for part, names in NAMES.items() for n in names[::-1] if n in arrays}
+    rows = {part: np.asarray(array) for part, array in found.items()}
+    steps, there = len(rows.get("action", ())), sorted(arrays)
+    if not {"obs", "action"} <= rows.keys():
+        raise ValueError(f"flat arrays {there}; expected obs and actions among them")
+    if wrong := {n: len(array) for n, array in rows.items() if len(array) != steps}:
+        raise ValueError(
+            f"flat arrays: {wrong} rows, and {steps} actions; expected as many of each"
+        )
+    marks = [
+        np.asarray(arrays[n], bool) for p in ("terminated", "ends") for n in NAMES[p] if n in arrays
+    ]
+    if "starts" in rows:
+        starts = rows["starts"].astype(bool)
+    elif marks:
+        starts = np.append(True, np.any(marks, 0)[:-1])
+    else:
+        raise ValueError(f"flat arrays {there}; expected episode_starts or dones among them")
+    bounds = [*np.flatnonzero(starts | (np.arange(steps) == 0)), steps]
+    recordings, lost = [], 0
+    for begin, end in pairwise(bounds):
+        obs, ended = (
+            rows["obs"][begin:end],
+            "terminated" in rows and bool(rows["terminated"][end - 1]),
+        )
+        if "next_obs" in rows:
+            obs = np.concatenate([obs, rows["next_obs"][end - 1 : end]])
+        else:
+            lost, ended, end = lost + ended, False, end - 1
+        if end > begin:
+            reward = rows["reward"][begin:end] if "reward" in rows else None
+            recordings.append(Recording(obs, rows["action"][begin:end], ended, reward))
+    if not recordings:
+        raise ValueError("flat arrays: no episode has two observations")
+    if lost:
+        log.warning(
+            f"{lost} of {len(bounds) - 1} episodes terminated, and the observation after it is not "
+            "there: they are taken for recordings that were cut; next_obs would show the end"
+        )
+    return recordings
+
+
+def played(
+    act: Callable[[np.ndarray], np.ndarray], env_id: str, units: Box, seeds: Sequence[int]
+) -> list[Recording]:
+    """Return episodes of a function that acts, one for each seed."""
+    recordings, returns = [], list[float]()
+    with (
+        closing(gymnasium.make(env_id)) as env,
+        tqdm(seeds, unit="episode", desc=f"demonstrations of {env_id}") as bar,
+    ):
+        for i, seed in enumerate(bar):
+            # Copies, since whoever acts, and the task, may go on writing into their own.
+            obs, actions, rewards = [np.array(env.reset(seed=seed)[0])], list[np.ndarray](), []
+            terminated = truncated = False
+            while not (terminated or truncated):
+                require_end(env_id, len(actions), LONGEST)
+                action = act(obs[-1].copy())
+                _require_action(action, units, f"episode {i}, step {len(actions)}")
+                actions.append(np.array(action, units.dtype))
+                seen, reward, terminated, truncated, _ = env.step(actions[-1].copy())
+                obs.append(np.array(seen))
+                rewards.append(as_reward(env_id, reward))
+            bar.set_postfix_str(f"return {np.mean(returns := [*returns, sum(rewards)]):.4g}")
+            parts = np.stack(obs), np.stack(actions), bool(terminated), np.array(rewards)
+            recordings.append(Recording(*parts))
+    return recordings
+
+
+def _require_action(action: Any, units: Box, where: str) -> None:
+    """Raise ValueError, with the episode and the step, unless a task can take an action."""
+    with suppress(ValueError, TypeError):  # What is no array is refused below.
+        given = np.asarray(action)
+        like = given.shape == units.shape and given.dtype.kind in "biuf"
+        if like and np.isfinite(given).all() and not minari_storage.outside(given, units).any():
+            return
+    raise ValueError(
+        f"{where}: the action is {action!r}; expected finite numbers in the task's own units, "
+        f"within {units}: mend the policy, or clip what it returns (a model of Stable-Baselines3: "
+        "model.predict(obs)[0])"
+    )

@@ -1,0 +1,109 @@
+"""What can be known of a run before its first step: what does not fit, and what will go wrong.
+
+A task is made once for that, however many seeds there are.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from offairl_lite import envs
+from offairl_lite.config import Config, DiscriminatorConfig
+from offairl_lite.core.requirements import (
+    episode_length,
+    require_fit,
+    require_inputs,
+    require_pretrained_reward,
+)
+from offairl_lite.core.rewards import IMPLEMENTATIONS
+from offairl_lite.core.rollouts import LONGEST, require_end
+from offairl_lite.demonstrations import Demonstrations, require_demonstrations
+
+
+def try_out(env_id: str, seed: int) -> list[str]:
+    """Return what a user should know of a task, after it was made and stepped.
+
+    ValueError says that an episode of random actions never ends; TaskError that the task fails.
+    """
+    notes = []
+    with closing(envs.make(env_id, 1, [seed])) as env:
+        env.reset()
+        ended = _step(env, 0.5)
+        try:
+            if not ended:
+                env.set_state(env.get_state())
+        except ValueError as error:  # It trains nevertheless.
+            notes.append(str(error))
+        if envs.spec(env_id).max_episode_steps is None:
+            notes.append(
+                f"{env_id} has no time limit: an episode that does not end is an error after "
+                f"{LONGEST:,} steps, which one of random actions has not reached"
+            )
+            _play(env_id, env, seed)
+    return notes
+
+
+def check(
+    config: Config, seeds: Sequence[int], shown: Demonstrations | None, things: Mapping[str, Any]
+) -> list[str]:
+    """Return what a user should know of a run on `shown` and `things` of other runs.
+
+    ValueError says what does not fit. The task is not made for that, if it was tried out.
+    """
+    seen, units = envs.spaces(config.env_id)
+    ones = np.ones_like(units.low)
+    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=Box(-ones, ones))
+    reward = things.get("pretrained_reward")
+    given = {name: things.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")}
+    require_inputs(config, seeds, shown, **given)
+    obs_dim, _ = require_fit(config, env, *given.values())
+    if reward is not None:
+        require_pretrained_reward(config, seeds, reward, given["pretrained_policy"], obs_dim)
+    if shown is None:
+        return []
+    require_demonstrations(shown, env)
+    episode_length(config, shown)
+    notes, ends = [], int(shown.transitions.terminated.sum())
+    own = (shown.source or {"dataset": ""})["dataset"] is not None
+    if ends and own and config.schedule.absorbing == "none":
+        notes.append(
+            f"{ends} of {len(shown)} demonstrations terminate; absorbing is none: see "
+            '"Two questions" in book/recipe.md'
+        )
+    if sees_actions(config) and (np.ptp(shown.transitions.action.numpy(), axis=0) == 0).all():
+        notes.append(
+            f"all demonstrated actions are the same, and with reward={config.reward!r} they tell "
+            "the expert from the policy: where actions are not known, use the recipe "
+            "(reward='r-s', loss='log-ratio') or ablation='state-pairs'"
+        )
+    return notes
+
+
+def sees_actions(config: Config) -> bool:
+    """Tell whether demonstrated actions matter to a run."""
+    if not isinstance(config.discriminator, DiscriminatorConfig):
+        return config.imitates
+    if config.discriminator.kind == "state-pairs":
+        return False
+    kind = IMPLEMENTATIONS.get(config.reward)
+    return kind is None or not kind.state_only or config.discriminator.loss != "log-ratio"
+
+
+def _step(env: Any, action: Any) -> bool:
+    """Act once; tell whether the episode has ended."""
+    width = env.single_action_space.shape
+    _, _, terminated, truncated, _ = env.step(np.full((1, *width), action, np.float32))
+    return bool(terminated[0] or truncated[0])
+
+
+def _play(env_id: str, env: Any, seed: int) -> None:
+    """Play an episode of random actions; ValueError if it has no end."""
+    rng, steps = np.random.default_rng(seed), 0
+    env.reset(seed=seed)
+    while not _step(env, rng.uniform(-1, 1, env.single_action_space.shape)):
+        steps += 1
+        require_end(env_id, steps, LONGEST)
