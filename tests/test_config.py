@@ -43,7 +43,6 @@ PPO = {"learner": "ppo", "train_every": 100, "temperature": 0.2}
         ({"reward_sees": (-1, 2)}, r"reward_sees is \(-1, 2\); expected a tuple"),
         ({"reward_sees": (1,), "ablation": "spectral-norm"}, "for plain networks"),
         ({"reward_sees": (1,), "ablation": "bottleneck"}, "plain networks"),
-        ({"reward_sees": (1,), "absorbing": "bootstrap"}, "without the absorbing state"),
         ({"ablation": "bottleneck", "bottleneck": 0.0}, "bottleneck is 0.0"),
         ({"bottleneck": 0.5}, "bottleneck has no use with learner='sac'"),
         (PPO | {"ablation": "bottleneck", "reward": "gan-gcl"}, "other than gan-gcl"),

@@ -159,7 +159,6 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
         "offairl run imitate --loss exactly",
         "offairl run imitate --reward frozen",
         "offairl run imitate --learner td3",
-        "offairl run imitate --reward-sees 3 --absorbing bootstrap",
         "offairl watch runs/arm --members 0",
         "offairl train imitate",
     ],
