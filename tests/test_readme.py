@@ -14,7 +14,13 @@ from offairl_lite import experiments
 from offairl_lite.runs import cli, records
 
 ROOT = Path(__file__).parents[1]
-PAGES = ["README.md", "book/index.md", "book/running_at_scale.md", "CONTRIBUTING.md"]
+PAGES = [
+    "README.md",
+    "book/recipe_example.md",
+    "book/index.md",
+    "book/running_at_scale.md",
+    "CONTRIBUTING.md",
+]
 
 
 def steps(text):
@@ -37,26 +43,41 @@ def test_steps_are_found_in_order():
     ]
 
 
-def test_the_readme_from_an_empty_folder(tmp_path):
-    """Everything it says to type, literally and in order, and the returns that it promises."""
+def follow(text, folder):
+    """Do everything that a page says to type, in order; what each step has printed."""
     bin_ = Path(sys.executable).parent
     env = {
         **os.environ,
         "PATH": f"{bin_}{os.pathsep}{os.environ['PATH']}",
-        "MINARI_DATASETS_PATH": str(tmp_path / "minari"),
+        "MINARI_DATASETS_PATH": str(folder / "minari"),
         "OMP_NUM_THREADS": "1",
     }
     printed = {}
-    for kind, code, before in steps((ROOT / "README.md").read_text()):
+    for kind, code, before in steps(text):
         saved = re.search(r"Save it as `(\S+)`:\s*$", before)
         if saved:
-            (tmp_path / saved[1]).write_text(code)
+            (folder / saved[1]).write_text(code)
             continue
         command = [sys.executable, "-c", code] if kind == "python" else shlex.split(code)
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True)
         assert done.returncode == 0, f"{code}\n{done.stderr}"
         printed[code] = done.stdout
-    assert (tmp_path / "reward.safetensors").exists()
+    return printed
+
+
+def test_the_readme_s_lines_run(tmp_path):
+    """With fewer steps."""
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    ((code, printed),) = follow(text.replace("100_000", "1_100"), tmp_path).items()
+    assert len(code.strip().splitlines()) <= 7
+    assert len(printed.splitlines()) == 2
+    assert len(records.read(tmp_path / "hopper").seeds) == 3
+
+
+def test_the_example_from_an_empty_folder(tmp_path):
+    """Literally, and the returns that it promises."""
+    printed = follow((ROOT / "book/recipe_example.md").read_text(), tmp_path)
     (old,) = (text for code, text in printed.items() if code.startswith("offairl demos my_robot:S"))
     assert float(re.search(r"return ([-−.\d]+)", old)[1]) < -120
     final = records.read(tmp_path / "runs/swapped").returns[:, -1]

@@ -151,6 +151,13 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     assert f"on HalfCheetah it was {cheetah} % against {other} %" in text
 
 
+def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "book"))
+    import benchmark_runs
+
+    assert benchmark_runs.short(benchmark_runs.read()) in (ROOT / "README.md").read_text()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
