@@ -23,6 +23,32 @@ TOYS: dict[str, tuple[list[str], str]] = {
         "copied the expert's moves and stands before the wall, the other "
         "plans with the learned reward and goes round it to the star.",
     ),
+    "rewards": (
+        ["mazes"],
+        "Two mazes coloured by a reward of the move. In the first its "
+        "policy goes round the wall; when the wall has moved, into it. "
+        "Below, its score falls from near 100 % to 0 after about a hundred "
+        "steps of the optimiser; that of a reward of the place does not.",
+    ),
+    "corridor": (
+        [],
+        "Seven rooms and a door on the right. Above, the expert walks out. "
+        "Below, its imitator is paid for every step, and stays in front of "
+        "the door.",
+    ),
+    "products": (
+        [],
+        "Two Gaussian policies over two actions, drawn as ellipses, one "
+        "narrow and high, one flat and wide. Multiplied, they leave a "
+        "round spot where the ellipses cross; added, a cross.",
+    ),
+    "life": (
+        ["mazes"],
+        "An agent between a cliff and a goal, and below it a map over the "
+        "discount and a constant. Where the constant is high the best "
+        "policy never ends, where it is low it falls, and in between it "
+        "walks to the goal.",
+    ),
 }
 """For each toy the programs that it needs, and what its still shows."""
 

@@ -3,16 +3,22 @@
 import json
 import re
 from functools import partial
+from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
+import torch
 from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
 from test_browser import BROWSERS, FLAGS, LOCAL, MAC, shutil, sync_api
 
 from figures import toys
 from offairl_lite import tabular
+from offairl_lite.core.policies import product_of_gaussians
 from offairl_lite.tabular import empirical_occupancy, occupancy, soft_value_iteration
 
+BOOK = Path(toys.__file__).parents[1]
 PAGE = """<!doctype html><html data-theme={theme}><meta charset=utf-8>
 <meta name=viewport content="width=device-width"><body>{body}"""
 LIST = partial(json.dumps, default=np.ndarray.tolist)
@@ -117,11 +123,11 @@ def test_what_was_drawn_can_be_read(given):
 
 
 def test_learning_climbs_the_likelihood(compute, given):
-    """Its steps are the gradient of chapter 1, spread over neighbours, up to few sweeps' error."""
+    """Its steps are the gradient of chapter 1, spread over neighbours."""
     mdp, drawn = toys.maze(given), toys.drawn(given)
     seen = empirical_occupancy(mdp, drawn)
     history = compute("""const lesson = toys.walls.learning(
-        mazes.build(20, mazes.book(20, "Left").wall), toys.walls.given(), {sweeps: 600});
+        mazes.build(20, mazes.book(20, "Left").wall), toys.walls.given());
       return [...Array(20)].map(() => lesson.next().value)
         .map(({reward, difference}) => [[...reward], [...difference]]);""")
     likelihoods = []
@@ -255,3 +261,138 @@ def test_two_toys_on_a_page_are_each_started_once(opened):
 def test_a_toy_that_does_not_exist_is_named():
     with pytest.raises(ValueError, match="there is no toy 'wals'; choose one of walls"):
         toys.show("wals")
+
+
+def cells(page, *ids):
+    """Run cells of a chapter; return the names that they make."""
+    names = {"np": np, "tabular": tabular}
+    for cell in nbformat.read(BOOK / page, as_version=4).cells:
+        if cell.id in ids:
+            exec(cell.source, names)
+    return names
+
+
+def test_the_reward_of_the_move_falls_off_the_cliff_and_that_of_the_place_does_not(compute):
+    """Each is learned as in chapter 1: what the toy plans with it returns what the package does."""
+    rewards = compute("""const {MAZES, alpha, gamma, expert, planned} = toys.rewards;
+      const {seen, initial} = expert();
+      const at = (ofState, k) => {
+        const lesson = mazes.maxent(MAZES[0].to, seen, initial, alpha, gamma, ofState);
+        let reward;
+        for (let i = 0; i <= k; i++) reward = lesson.next().value;
+        return {reward: [...reward], values: MAZES.map((m) => planned(m, reward, alpha).value)};
+      };
+      return {place: at(true, 100), early: at(false, 50), late: at(false, 150)};""")
+    returns = {}
+    for name, learned in rewards.items():
+        reward = np.array(learned["reward"])
+        reward = reward if name == "place" else reward.reshape(400, 5)
+        returns[name] = []
+        for side in ("Left", "Right"):
+            maze = tabular.maze(20, side)
+            policy = soft_value_iteration(maze.mdp, reward, 0.05).policy
+            returns[name].append(tabular.policy_return(maze.mdp, policy, maze.reward))
+        assert learned["values"] == pytest.approx(returns[name], abs=1e-6)
+    assert min(first for first, _ in returns.values()) > -5.2
+    assert returns["place"][1] > -5.2
+    assert returns["early"][1] > -6
+    assert returns["late"][1] < -9
+
+
+def test_the_shaping_changes_no_policy_of_the_first_maze(compute):
+    noise = compute("return [...toys.rewards.shaping()]")
+    maze, shaped = tabular.maze(20, "Left"), np.reshape(noise, (400, 5))
+    assert shaped.std() > 0.1
+    before = soft_value_iteration(maze.mdp, maze.reward, 0.05).policy
+    after = soft_value_iteration(maze.mdp, maze.reward[:, None] + shaped, 0.05).policy
+    np.testing.assert_allclose(after, before, atol=1e-8)
+
+
+@pytest.mark.parametrize("who", ["A", "B"])
+def test_the_corridor_is_that_of_chapter_2(compute, who):
+    ids = "2b726df3", "1c4374cd", "8d6e1d18-helpers", "4816d6ec", "091c50b3"
+    chapter = cells("02_gail_and_dac.ipynb", *ids)
+    ends = compute(f"""const {{REWARDS, EXPERTS, round, gone, occupancy}} = toys.corridor;
+      return Object.values(REWARDS).map(({{of}}) => {{
+        let policy = Array(7).fill(0.5);
+        for (let k = 0; k < 150; k++) ({{policy}} = round(EXPERTS.{who}, policy, of));
+        return {{policy, gone: gone(policy), time: occupancy(policy)}};
+      }});""")
+    for end, reward in zip(ends, chapter["REWARDS"].values(), strict=True):
+        policy = chapter["play"](chapter["EXPERTS"][who], reward)
+        np.testing.assert_allclose(end["policy"], policy[:, 1], atol=1e-6)
+        np.testing.assert_allclose(end["time"], chapter["occupancy"](policy), atol=1e-6)
+        assert end["gone"] == pytest.approx(chapter["gone"](policy), abs=1e-6)
+
+
+def test_products_are_the_packages(compute):
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=(2, 2)), rng.uniform(0.1, 1, (2, 2))
+    weight = rng.uniform(0.1, 1, 2)
+    primitives = [{"mean": m, "std": s} for m, s in zip(mean, std, strict=True)]
+    theirs = compute(f"""const primitives = {LIST(primitives)};
+      return [toys.products.compose(primitives, {LIST(weight)}),
+        toys.products.mixture(primitives, {LIST(weight)}, [0.3, -0.2])];""")
+    tensors = [torch.as_tensor(x) for x in (mean, np.log(std), weight)]
+    for ours, key in zip(product_of_gaussians(*tensors), ("mean", "std"), strict=True):
+        ours = ours if key == "mean" else ours.exp()
+        np.testing.assert_allclose([part[key] for part in theirs[0]], ours, atol=1e-9)
+    each = norm.pdf([0.3, -0.2], mean, std).prod(1)
+    assert theirs[1] == pytest.approx(each @ weight / weight.sum())
+
+
+def test_lives_are_those_of_chapter_7(compute):
+    chapter = cells("07_absorbing_states.ipynb", "b889d278", "c104095d")
+    theirs = compute(f"""const gammas = {LIST(chapter["gammas"])};
+      const shifts = {LIST(chapter["shifts"])};
+      return [0, 1].map((own) => shifts.map((c) =>
+        gammas.map((g) => toys.life.fate(c, g, own * c))));""")
+    assert theirs == [chapter["nothing"], chapter["itself"]]
+
+
+def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
+    view = opened("rewards", "corridor", "products", "life")
+    state = "toys.all[{}].state()"
+    canvas = view.locator(".toy canvas")
+
+    view.evaluate("toys.all[0].pose()")
+    assert "First maze: 10" in said(view) or "First maze: 9" in said(view)
+    assert re.search(r"Moved wall: −?\d %", said(view))
+    view.get_by_text("a place: r(s)").click()
+    assert re.search(r"Moved wall: (9\d|100) %", said(view))
+    view.get_by_role("button", name="Add a shaping").click()
+    assert "with a shaping" in said(view)
+    canvas.nth(2).press("ArrowLeft")
+    assert view.evaluate(state.format(0))["step"] == 129
+
+    view.get_by_text("log D − log(1 − D)").click()
+    view.evaluate("toys.all[1].finish()")
+    says = view.locator(".toy-says").nth(1)
+    assert "expert 100 %, imitator 100 %" in says.inner_text()
+    canvas.nth(3).press("ArrowDown")
+    assert view.evaluate(state.format(1))["expert"] == pytest.approx(
+        [0.95, 0.95, 0.95, 0.8, 0.95, 0.95, 0.95]
+    )
+
+    canvas.nth(4).scroll_into_view_if_needed()
+    box = canvas.nth(4).bounding_box()
+    middle, scale = box["width"] / 2, box["width"] / 5.2
+    at = [
+        (box["x"] + middle + scale * x, box["y"] + middle - scale * y)
+        for x, y in [(0.9, 0.3), (-0.7, 0.3)]
+    ]
+    drag(view, *at)
+    assert view.evaluate(state.format(2))["primitives"][0]["mean"] == pytest.approx(
+        [-0.7, 0.3], abs=0.03
+    )
+    canvas.nth(4).press("ArrowUp")
+    assert view.evaluate(state.format(2))["primitives"][0]["mean"][1] == pytest.approx(
+        0.4, abs=0.03
+    )
+
+    for _ in range(4):
+        canvas.nth(7).press("ArrowUp")
+    says = view.locator(".toy-says").nth(3)
+    assert "the agent never ends" in says.inner_text()
+    view.get_by_text("c, for ever").click()
+    assert "the agent walks to the goal" in says.inner_text()

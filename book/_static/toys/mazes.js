@@ -42,57 +42,78 @@
     return {wall, start: nearest(0.3, 0), goal: nearest(0.3, 0.5), reward};
   }
 
-  // The soft-optimal policy of a reward (S) or (S·A): π = exp((Q - V)/α), in `policy` (S·A).
-  // At a temperature α of 0 it takes one of the best actions.
-  function solve(to, reward, alpha, gamma, {guess, tolerance = 1e-9, sweeps = 5000} = {}) {
+  // I - γP of a policy as L·U. A row's entries are at most n away from the diagonal, so that the
+  // factors have the same band, and none is so small that rows would have to be exchanged.
+  function factors(to, policy, gamma) {
+    const S = to.length / A, n = Math.round(Math.sqrt(S)), wide = 2 * n + 1;
+    const m = new Float64Array(S * wide);
+    for (let s = 0; s < S; s++) {
+      m[s * wide + n] = 1;
+      for (let i = s * A; i < s * A + A; i++) m[s * wide + n + to[i] - s] -= gamma * policy[i];
+    }
+    for (let k = 0; k < S; k++) {
+      const pivot = k * wide + n, end = Math.min(S - 1, k + n);
+      for (let i = k + 1; i <= end; i++) {
+        const row = i * wide + n - i, l = (m[row + k] /= m[pivot]);
+        if (l) for (let j = k + 1; j <= end; j++) m[row + j] -= l * m[pivot - k + j];
+      }
+    }
+    const at = (i, j) => m[i * wide + n - i + j];
+    const forward = (x, entry, divide) => {
+      for (let i = 0; i < S; i++) {
+        for (let j = Math.max(0, i - n); j < i; j++) x[i] -= entry(i, j) * x[j];
+        if (divide) x[i] /= at(i, i);
+      }
+      return x;
+    };
+    const backward = (x, entry, divide) => {
+      for (let i = S - 1; i >= 0; i--) {
+        for (let j = Math.min(S - 1, i + n); j > i; j--) x[i] -= entry(i, j) * x[j];
+        if (divide) x[i] /= at(i, i);
+      }
+      return x;
+    };
+    const turned = (i, j) => at(j, i);
+    return {
+      solve: (x) => backward(forward(Float64Array.from(x), at), at, true),
+      solveTransposed: (x) => backward(forward(Float64Array.from(x), turned, true), turned),
+    };
+  }
+
+  // The soft-optimal policy of a reward (S) or (S·A): π = exp((Q - V)/α), in `policy` (S·A), by
+  // soft policy iteration. At a temperature α of 0 it takes one of the best actions.
+  function solve(to, reward, alpha, gamma, {guess, tolerance = 1e-11, sweeps = 200} = {}) {
     const S = to.length / A, ofState = reward.length === S;
-    const value = Float64Array.from(guess || new Float64Array(S));
     const q = new Float64Array(S * A), policy = new Float64Array(S * A);
-    for (let sweep = 0; sweep < sweeps; sweep++) {
-      let change = 0;
+    const gain = new Float64Array(S), better = new Float64Array(S);
+    let value = guess || new Float64Array(S);
+    for (let sweep = 0; ; sweep++) {
+      let change = 0, size = 0;
       for (let s = 0; s < S; s++) {
-        let best = -Infinity, total = 0;
+        let best = -Infinity, total = 0, first = -1;
         for (let i = s * A; i < s * A + A; i++) {
           q[i] = (ofState ? reward[s] : reward[i]) + gamma * value[to[i]];
-          if (q[i] > best) best = q[i];
+          if (q[i] > best + 1e-12) [best, first] = [q[i], i];
         }
-        if (alpha > 0) {
-          for (let i = s * A; i < s * A + A; i++) total += Math.exp((q[i] - best) / alpha);
-          best += alpha * Math.log(total);
+        for (let i = s * A; i < s * A + A; i++)
+          total += policy[i] = alpha > 0 ? Math.exp((q[i] - best) / alpha) : +(i === first);
+        better[s] = best + (alpha > 0 ? alpha * Math.log(total) : 0);
+        gain[s] = better[s];
+        for (let i = s * A; i < s * A + A; i++) {
+          policy[i] /= total;
+          gain[s] -= policy[i] * gamma * value[to[i]]; // Σ π (r - α log π)
         }
-        change = Math.max(change, Math.abs(best - value[s]));
-        value[s] = best; // Later squares already see it.
+        change = Math.max(change, Math.abs(better[s] - value[s]));
+        size = Math.max(size, Math.abs(better[s]));
       }
-      if (change < tolerance) break;
+      if (change <= tolerance * size || sweep === sweeps) return {value: better, q, policy};
+      value = factors(to, policy, gamma).solve(gain);
     }
-    for (let s = 0; s < S; s++) {
-      const row = q.subarray(s * A, s * A + A);
-      if (alpha > 0) {
-        let best = Math.max(...row), total = 0;
-        for (let a = 0; a < A; a++) total += policy[s * A + a] = Math.exp((row[a] - best) / alpha);
-        for (let a = 0; a < A; a++) policy[s * A + a] /= total;
-      } else policy[s * A + row.indexOf(Math.max(...row))] = 1;
-    }
-    return {value, q, policy};
   }
 
   // The discounted visits of a policy to each square, (S); they add up to 1 / (1 - γ).
-  function visits(to, policy, initial, gamma, {guess, tolerance = 1e-9, sweeps = 5000} = {}) {
-    const S = to.length / A;
-    let d = Float64Array.from(guess || initial);
-    for (let sweep = 0; sweep < sweeps; sweep++) {
-      const next = Float64Array.from(initial);
-      for (let i = 0; i < S * A; i++) {
-        const flow = policy[i] * d[Math.floor(i / A)];
-        if (flow) next[to[i]] += gamma * flow;
-      }
-      let change = 0;
-      for (let s = 0; s < S; s++) change = Math.max(change, Math.abs(next[s] - d[s]));
-      d = next;
-      if (change < tolerance) break;
-    }
-    return d;
-  }
+  const visits = (to, policy, initial, gamma) =>
+    factors(to, policy, gamma).solveTransposed(initial);
 
   // The return of a reward from the visits, without the entropy's bonus.
   function score(d, policy, reward) {
@@ -103,6 +124,57 @@
       sum += d[s] * policy[i] * (ofState ? reward[s] : reward[i]);
     }
     return sum;
+  }
+
+  // Maximum entropy IRL by L-BFGS, from a reward of 0: each step yields a reward of the state (S)
+  // or of the pair (S·A). `seen` are the expert's visits (S·A).
+  function* maxent(to, seen, initial, alpha, gamma, ofState) {
+    const S = to.length / A, size = ofState ? S : S * A, memory = [];
+    let guess;
+    const loss = (x) => {
+      const {value, policy} = solve(to, x, alpha, gamma, {guess});
+      const d = visits(to, policy, initial, gamma), slope = new Float64Array(size);
+      let sum = 0;
+      for (let s = 0; s < S; s++) sum += (initial[s] * value[s]) / alpha;
+      for (let i = 0; i < S * A; i++) {
+        const s = Math.floor(i / A), k = ofState ? s : i;
+        sum -= (seen[i] * x[k]) / alpha;
+        slope[k] += (d[s] * policy[i] - seen[i]) / alpha;
+      }
+      guess = value;
+      return {sum, slope};
+    };
+    const dot = (a, b) => a.reduce((total, v, i) => total + v * b[i], 0);
+    let x = new Float64Array(size), {sum, slope} = loss(x);
+    for (;;) {
+      yield x;
+      const way = slope.map((v) => -v), held = [];
+      for (const {s, y, rho} of [...memory].reverse()) {
+        const a = rho * dot(s, way);
+        held.push(a);
+        y.forEach((v, i) => { way[i] -= a * v; });
+      }
+      if (memory.length) {
+        const {y, rho} = memory[memory.length - 1], scale = 1 / (rho * dot(y, y));
+        way.forEach((v, i) => { way[i] = v * scale; });
+      }
+      for (const {s, y, rho} of memory) {
+        const b = held.pop() - rho * dot(y, way);
+        s.forEach((v, i) => { way[i] += b * v; });
+      }
+      const fall = dot(slope, way);
+      let step = memory.length ? 1 : 1 / Math.sqrt(dot(slope, slope)), next, found;
+      for (let tries = 0; tries < 20; tries++, step /= 2) {
+        next = x.map((v, i) => v + step * way[i]);
+        found = loss(next);
+        if (found.sum <= sum + 1e-4 * step * fall) break;
+      }
+      const s = next.map((v, i) => v - x[i]), y = found.slope.map((v, i) => v - slope[i]);
+      const along = dot(s, y);
+      if (along > 1e-14) memory.push({s, y, rho: 1 / along});
+      if (memory.length > 20) memory.shift();
+      [x, {sum, slope}] = [next, found];
+    }
   }
 
   // The squares on the way of the most probable actions, until one comes again.
@@ -153,6 +225,41 @@
       b.side - 2 * b.pad + 5);
   }
 
+  // A reward of the pair: a triangle for each move, and in the middle staying.
+  function triangles(ctx, b, fill) {
+    const half = b.size / 2;
+    for (let s = 0; s < b.n ** 2; s++) {
+      const [x, y] = b.centre(s);
+      MOVES.forEach(([dx, dy], a) => {
+        ctx.fillStyle = fill(s * A + a);
+        if (!a) return;
+        ctx.beginPath();
+        ctx.moveTo(x, y);
+        for (const side of [-1, 1])
+          ctx.lineTo(x + half * (dx + side * dy), y - half * (dy - side * dx));
+        ctx.fill();
+      });
+      ctx.fillStyle = fill(s * A);
+      ctx.fillRect(x - half / 3, y - half / 3, (2 * half) / 3, (2 * half) / 3);
+    }
+  }
+
+  // The mean moves of a policy, on every second square of every second row.
+  function arrows(ctx, b, policy, colour) {
+    for (let s = 0; s < b.n ** 2; s++) {
+      if (s % 2 || Math.floor(s / b.n) % 2) continue;
+      let [u, v] = [0, 0];
+      MOVES.forEach(([dx, dy], a) => {
+        u += dx * policy[s * A + a];
+        v += dy * policy[s * A + a];
+      });
+      if (Math.hypot(u, v) < 0.15) continue;
+      const [x, y] = b.centre(s), far = 0.8 * b.size;
+      window.toys.arrow(ctx, [x - far * u, y + far * v], [x + far * u, y - far * v], colour,
+        Math.max(1, b.size / 11), Math.max(3, b.size / 4));
+    }
+  }
+
   function wall(ctx, b, {row, from, to}, colour, {ghost = false} = {}) {
     const ends = [Math.max(0, from), Math.min(b.n, to)].map((c) => [b.column(c), b.row(row)]);
     if (ghost) return window.toys.line(ctx, ends, colour.soft, 2, {dash: [2, 6]});
@@ -170,6 +277,6 @@
     }
   }
 
-  window.toys.mazes = {MOVES, A, build, book, solve, visits, score, walk, likeliest, board, squares,
-    wall, walker};
+  window.toys.mazes = {MOVES, A, build, book, solve, visits, maxent, score, walk, likeliest, board, squares,
+    triangles, arrows, wall, walker};
 })();

@@ -6,6 +6,7 @@ window.toys = window.toys || (() => {
     expert: "#7c4dff", copy: "#1f77e6", learner: "#ffc21a", wall: "#f2545b", good: "#0f9d7a", policy: "#c75f00",
     rim: "#25213f", star: "#ff4d9d", button: "#efeaff", pressed: "#6c3df4", onPressed: "#ffffff",
     reward: ["#f6f3ff", "#dcf6ea", "#9ee8cb", "#45cda6", "#0aa587", "#00756a"],
+    penalty: ["#f6f3ff", "#f2545b"],
     visits: ["#f6f3ff", "#dcd0ff", "#b194ff", "#8457ff", "#5a1fd6"],
     difference: ["#e06b00", "#ff9f2e", "#ffd9a0", "#f6f3ff", "#cdb9ff", "#9166ff", "#5a1fd6"],
   };
@@ -14,6 +15,7 @@ window.toys = window.toys || (() => {
     expert: "#b79aff", copy: "#5cb3ff", learner: "#ffce45", wall: "#ff7b7b", good: "#4fe0b0", policy: "#ffb04d",
     rim: "#0f0d1c", star: "#ff79b8", button: "#352f57", pressed: "#a98bff", onPressed: "#17142b",
     reward: ["#262340", "#22454f", "#1c6f6b", "#1d9c82", "#45cf9d", "#b6ffd9"],
+    penalty: ["#262340", "#ff7b7b"],
     visits: ["#262340", "#433679", "#6a4fc4", "#9c7dff", "#d9ccff"],
     difference: ["#ffb04d", "#d97a12", "#7a4b22", "#262340", "#4d3d8c", "#8562ef", "#c4aeff"],
   };
@@ -40,13 +42,16 @@ window.toys = window.toys || (() => {
   }
 
   const channels = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
+  const scales = new WeakMap();
 
   // The colour of a number from 0 to 1 between the colours of a list.
   function shade(colours, x) {
-    const at = Math.min(1, Math.max(0, x || 0)) * (colours.length - 1);
-    const i = Math.min(colours.length - 2, Math.floor(at));
-    const [a, b] = [channels(colours[i]), channels(colours[i + 1])];
-    return `rgb(${a.map((c, k) => Math.round(c + (at - i) * (b[k] - c))).join(",")})`;
+    if (!scales.has(colours)) scales.set(colours, Array.from({length: 256}, (_, k) => {
+      const at = (k / 255) * (colours.length - 1), i = Math.min(colours.length - 2, Math.floor(at));
+      const [a, b] = [channels(colours[i]), channels(colours[i + 1])];
+      return `rgb(${a.map((c, j) => Math.round(c + (at - i) * (b[j] - c))).join(",")})`;
+    }));
+    return scales.get(colours)[Math.round(255 * Math.min(1, Math.max(0, x || 0)))];
   }
 
   function text(ctx, words, x, y, {size = 13, colour, align = "center", weight = 600, halo} = {}) {
@@ -167,16 +172,19 @@ window.toys = window.toys || (() => {
       if (this.said.textContent !== words) this.said.textContent = words;
     }
 
-    // A picture: `draw(ctx, w, h, colour)` paints it, as high as `ratio` times its width.
+    // A picture: `draw(ctx, w, h, colour)` paints it, as high as `ratio` times its width, or `narrow` times on a phone.
     // `grab(x, y)` says whether a drag begins there; `drag(x, y)` and `drop(x, y)` follow.
     // `keys[name]` are functions of the key's event; `label` and `help` are read aloud.
-    pane({label, help = "", caption, ratio = 1, draw, grab, drag, drop, keys, wide = false}) {
+    pane({label, help = "", title, caption, ratio = 1, narrow = ratio, draw, grab, drag, drop, keys, shape = ""}) {
       const canvas = element("canvas", {
         role: grab || keys ? "application" : "img", "aria-label": `${label} ${help}`.trim(),
         ...(grab || keys ? {tabindex: 0} : {}),
       });
-      canvas.style.aspectRatio = `1 / ${ratio}`;
-      const figure = element("div", {class: wide ? "toy-pane toy-wide" : "toy-pane"}, canvas);
+      canvas.style.setProperty("--toy-ratio", ratio);
+      canvas.style.setProperty("--toy-narrow", narrow);
+      const figure = element("div", {class: `toy-pane ${shape}`});
+      if (title) figure.append(element("p", {class: "toy-title"}, title));
+      figure.append(canvas);
       if (caption) figure.append(element("p", {class: "toy-caption"}));
       if (caption) figure.lastChild.innerHTML = caption;
       this.stage.append(figure);
@@ -276,15 +284,17 @@ window.toys = window.toys || (() => {
       return {set: (key) => group.querySelectorAll("input").forEach((i) => (i.checked = i.value === key))};
     }
 
-    // Call `frame(seconds)` before each picture while it returns true and the toy is seen.
+    // Call `frame(seconds)` before each picture while the toy is seen, until it returns false; the
+    // toy is drawn again if it returns true.
     play(frame) {
       let before = null;
       const next = (now) => {
         if (!this.root.isConnected) return;
         const passed = before === null ? 0 : Math.min(0.1, (now - before) / 1000);
         before = now;
-        if (this.visible && frame(passed) === false) return;
-        if (this.visible) this.redraw();
+        const more = this.visible ? frame(passed) : undefined;
+        if (more !== undefined) this.redraw();
+        if (more === false) return;
         requestAnimationFrame(next);
       };
       requestAnimationFrame(next);

@@ -47,15 +47,13 @@
 
   // Maximum entropy IRL by gradient ascent: the expert's visits minus the policy's. Each step
   // yields the reward, with a temperature of 1, and that difference.
-  function* learning(to, demos, {sweeps = 12} = {}) {
+  function* learning(to, demos) {
     const {seen, initial} = count(demos), reward = new Float64Array(S);
-    let value, visited;
+    let value;
     for (;;) {
-      const first = value === undefined;
-      const found = solve(to, reward, 1, gamma, {guess: value, sweeps: first ? 600 : sweeps});
+      const found = solve(to, reward, 1, gamma, {guess: value});
       value = found.value;
-      visited = visits(to, found.policy, initial, gamma,
-        {guess: visited, sweeps: first ? 600 : sweeps});
+      const visited = visits(to, found.policy, initial, gamma);
       const difference = seen.map((x, s) => x - visited[s]);
       yield {reward: reward.slice(), difference};
       spread(difference).forEach((x, s) => { reward[s] += rate * x; });
@@ -82,7 +80,7 @@
     });
   }
 
-  const plan = (to, reward) => likeliest(solve(to, reward, 0, gamma, {tolerance: 1e-6}).policy);
+  const plan = (to, reward) => likeliest(solve(to, reward, 0, gamma).policy);
 
   function arrives(way, demos) {
     const s = way[way.length - 1];
@@ -286,7 +284,7 @@
     const pane = toy.pane({
       label: "A maze with a wall that you can move.",
       help: "Arrow keys move the wall. Space lets both agents walk again.",
-      wide: true,
+      shape: "toy-wide",
       draw: scene,
       keys: {ArrowLeft: step(-1, 0), ArrowRight: step(1, 0), ArrowUp: step(0, 1),
         ArrowDown: step(0, -1), Space: space, Enter: space},
@@ -351,9 +349,10 @@
         if (shown % 5 === 0) think();
         return true;
       }
+      if (window.toys.calm()) return undefined;
       clock += passed;
       const rest = Math.max(...Object.values(ways).map((way) => way.length), 0) / 8 + 2.5;
-      if (clock > rest && !window.toys.calm()) clock = 0;
+      if (clock > rest) clock = 0;
       return true;
     });
     return {
