@@ -59,7 +59,8 @@ def opened(browser, tmp_path):
 
 
 def said(view):
-    """What a toy announces."""
+    """What a toy announces when it has learned."""
+    view.wait_for_function("!toys.all[0].state().learning")
     return view.locator(".toy-says").first.inner_text()
 
 
@@ -171,7 +172,6 @@ def drag(view, *places):
 
 def test_the_wall_is_dragged_with_the_mouse(opened):
     view = opened("walls", reduced_motion="no-preference")
-    view.wait_for_function("toys.all[0].state().shown === 100")
     assert said(view) == "Copy: arrives. Reward: arrives. Now drag the wall."
     at = squares(view)
     drag(view, at(7, 11), at(16, 11))

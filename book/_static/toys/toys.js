@@ -191,7 +191,7 @@ window.toys = window.toys || (() => {
       const ctx = canvas.getContext("2d");
       const pane = {canvas, figure, w: 0, h: 0, paint: () => {
         const w = canvas.clientWidth, h = canvas.clientHeight;
-        const sharp = Math.max(2, window.devicePixelRatio || 1);
+        const sharp = window.devicePixelRatio || 1;
         if (!w || !h) return;
         if (canvas.width !== Math.round(w * sharp) || canvas.height !== Math.round(h * sharp)) {
           canvas.width = Math.round(w * sharp);

@@ -118,7 +118,6 @@
       lesson = learning(build(n, home), demos);
       history.push(lesson.next().value);
       shown = 0;
-      if (window.toys.calm()) finish();
       think();
     }
 
@@ -339,6 +338,11 @@
     learn();
     toy.play((passed) => {
       if (lesson && !held) {
+        if (window.toys.calm()) {
+          finish();
+          think();
+          return true;
+        }
         for (const until = performance.now() + 9; performance.now() < until;) {
           history.push(lesson.next().value);
           if (history.length % 2) break;
@@ -356,7 +360,7 @@
       return true;
     });
     return {
-      state: () => ({demos, home, wall, shown, history, ways}),
+      state: () => ({demos, home, wall, shown, ways, learning: Boolean(lesson)}),
       pose: () => move({from: 9}),
     };
   }
