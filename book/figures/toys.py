@@ -49,6 +49,12 @@ TOYS: dict[str, tuple[list[str], str]] = {
         "policy never ends, where it is low it falls, and in between it "
         "walks to the goal.",
     ),
+    "drawn_maze": (
+        ["mazes", "tables"],
+        "The maze after the wall has moved, coloured by a reward learned "
+        "before, which is highest at the star. The planned way leads "
+        "through the new gap to the star.",
+    ),
 }
 """For each toy the programs that it needs, and what its still shows."""
 

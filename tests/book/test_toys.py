@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from functools import partial
 from pathlib import Path
 
@@ -350,8 +351,20 @@ def test_lives_are_those_of_chapter_7(compute):
     assert theirs == [chapter["nothing"], chapter["itself"]]
 
 
+def test_the_rewards_of_the_maze_are_the_recorded_ones_and_plans_are_the_packages(compute):
+    tables = runpy.run_path(str(toys.FOLDER / "tables.py"))
+    table = compute("return toys.tables")
+    np.testing.assert_allclose(table["rewards"], tables["rewards"](), atol=1)
+    maze = tabular.maze(table["cells"], "Right")
+    value = compute("""const {cells, rewards} = toys.tables;
+      return [...toys.drawn_maze.planned(mazes.book(cells, "Right").wall, rewards[2]).value];""")
+    reward = np.array(table["rewards"][2]) / 999
+    expected = soft_value_iteration(maze.mdp, reward, 0.0).value
+    np.testing.assert_allclose(value, expected, atol=1e-6)
+
+
 def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
-    view = opened("rewards", "corridor", "products", "life")
+    view = opened("rewards", "corridor", "products", "life", "drawn_maze")
     state = "toys.all[{}].state()"
     canvas = view.locator(".toy canvas")
 
@@ -396,3 +409,19 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     assert "the agent never ends" in says.inner_text()
     view.get_by_text("c, for ever").click()
     assert "the agent walks to the goal" in says.inner_text()
+
+    canvas.nth(8).scroll_into_view_if_needed()
+    says = view.locator(".toy-says").nth(4)
+    assert "arrives 3 cm from the star, after 29 moves" in says.inner_text()
+    view.get_by_role("button", name="Move the wall").click()
+    assert view.evaluate(state.format(4))["wall"]["from"] == 12
+    assert "arrives" in says.inner_text()
+    box = canvas.nth(8).bounding_box()
+    size = (box["width"] - 14) / 28
+    at = [
+        (box["x"] + 7 + size * (x + 0.5), box["y"] + box["width"] - 7 - size * (y + 0.5))
+        for x, y in [(15, 3), (25, 12)]
+    ]
+    drag(view, *at)
+    assert view.evaluate(state.format(4))["start"] == 25 + 28 * 12
+    assert "arrives" in says.inner_text()

@@ -211,12 +211,10 @@
 
   // The squares in the colours of `fill(s)`, and the border round them.
   function squares(ctx, b, fill, colour) {
-    const edge = (v) => Math.round(v * 2) / 2;
     for (let s = 0; s < b.n ** 2; s++) {
-      const left = edge(b.column(s % b.n)), top = edge(b.row(Math.floor(s / b.n) + 1));
-      ctx.fillStyle = fill(s);
-      ctx.fillRect(left, top, edge(b.column((s % b.n) + 1)) - left,
-        edge(b.row(Math.floor(s / b.n))) - top);
+      ctx.fillStyle = fill(s); // A little larger, so that no seam shows.
+      ctx.fillRect(b.column(s % b.n), b.row(Math.floor(s / b.n) + 1) - 0.6, b.size + 0.6,
+        b.size + 0.6);
     }
     ctx.lineWidth = 5;
     ctx.lineJoin = "round";
@@ -267,6 +265,45 @@
     window.toys.line(ctx, ends, colour.wall, 7);
   }
 
+  // A wall that a hand can move, by its knob or anywhere; `changed` is called when it has moved.
+  function movable(n, first, changed) {
+    let held = null;
+    const hand = {wall: {...first}};
+    const ends = (b) => [Math.max(0, hand.wall.from), Math.min(n, hand.wall.to)].map(b.column);
+    const knob = (b) => [(ends(b)[0] + ends(b)[1]) / 2, b.row(hand.wall.row)];
+    hand.move = (change) => {
+      const long = hand.wall.to - hand.wall.from, next = {...hand.wall, ...change};
+      const from = Math.min(n - 4, Math.max(4 - long, next.from));
+      const row = Math.min(n - 1, Math.max(1, next.row));
+      if (from === hand.wall.from && row === hand.wall.row) return;
+      hand.wall = {row, from, to: from + long};
+      changed();
+    };
+    hand.hit = (b, x, y) => Math.abs(y - b.row(hand.wall.row)) < 20
+      && x > ends(b)[0] - 12 && x < ends(b)[1] + 12;
+    hand.grab = (b, x, y) => { held = {x, y, ...hand.wall}; };
+    hand.holds = () => held !== null;
+    hand.drop = () => { held = null; };
+    hand.drag = (b, x, y) => hand.move({
+      from: held.from + Math.round((x - held.x) / b.size),
+      row: held.row - Math.round((y - held.y) / b.size),
+    });
+    hand.draw = (ctx, b, colour, pulse = 0) => {
+      const [x, y] = knob(b);
+      wall(ctx, b, hand.wall, colour);
+      if (pulse) window.toys.dot(ctx, x, y, 14 + pulse, `${colour.wall}55`);
+      window.toys.dot(ctx, x, y, 13, colour.wall, colour.card, 2.5);
+      for (const [dx, dy] of MOVES.slice(1)) {
+        ctx.beginPath();
+        for (const [far, side] of [[9, 0], [5, 3], [5, -3]])
+          ctx.lineTo(x + far * dx + side * dy, y - far * dy + side * dx);
+        ctx.fillStyle = colour.card;
+        ctx.fill();
+      }
+    };
+    return hand;
+  }
+
   // A somebody with eyes that look where it goes.
   function walker(ctx, x, y, radius, fill, colour, [dx, dy] = [0, 0]) {
     window.toys.dot(ctx, x, y, radius, fill, colour.rim, 1.5);
@@ -278,5 +315,5 @@
   }
 
   window.toys.mazes = {MOVES, A, build, book, solve, visits, maxent, score, walk, likeliest, board, squares,
-    triangles, arrows, wall, walker};
+    triangles, arrows, wall, movable, walker};
 })();

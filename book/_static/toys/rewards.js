@@ -67,7 +67,7 @@
 
     MAZES.forEach((maze, k) => toy.pane({
       shape: "toy-half",
-      title: ["the first maze", "the wall has moved"][k],
+      title: ["first maze", "wall moved"][k],
       label: ["The first maze", "The maze after the wall has moved"][k]
         + ", coloured by the reward, with the arrows of the policy that is planned on it.",
       draw: (ctx, w, h, colour) => {

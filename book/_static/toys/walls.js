@@ -92,14 +92,14 @@
   }
 
   function define(toy) {
-    let demos = given(), home = {...LEFT.wall}, wall = {...home}, start = LEFT.start;
+    let demos = given(), home = {...LEFT.wall}, start = LEFT.start;
     let history = [], shown = 0, lesson = null, ways = {}, clock = 0, drawing = false;
-    let held = null, stroke = null, pen = start, hint = true, own = null;
-    const maze = () => build(n, wall);
-    const moved = () => wall.row !== home.row || wall.from !== home.from;
+    let stroke = null, pen = start, hint = true;
+    const hand = paint.movable(n, home, wallMoved);
+    const moved = () => hand.wall.row !== home.row || hand.wall.from !== home.from;
 
     function think() {
-      const to = maze(), imitate = copy(demos), best = plan(to, history[shown].reward);
+      const to = build(n, hand.wall), imitate = copy(demos), best = plan(to, history[shown].reward);
       ways = {copy: walk(to, (s) => imitate[s], start), learner: walk(to, best, start)};
       clock = window.toys.calm() ? 1e6 : 0;
       tell();
@@ -128,12 +128,9 @@
       lesson = null;
     }
 
-    function move(change) {
+    function wallMoved() {
       hint = false;
-      const long = wall.to - wall.from, next = {...wall, ...change};
-      next.row = Math.min(n - 1, Math.max(1, next.row));
-      next.from = Math.min(n - 4, Math.max(4 - long, next.from));
-      wall = {...next, to: next.from + long};
+      if (!history.length) return;
       if (lesson) finish();
       think();
     }
@@ -155,8 +152,8 @@
     }
 
     function begin(s) {
-      if (!demos.length) home = {...wall};
-      wall = {...home};
+      if (!demos.length) home = {...hand.wall};
+      hand.wall = {...home};
       stroke = {states: [s], actions: []};
       pen = s;
       toy.say("Draw to the place where the expert wants to be, and let go.");
@@ -181,7 +178,7 @@
     function examples() {
       drawing = false;
       [demos, home, start] = [given(), {...LEFT.wall}, LEFT.start];
-      wall = {...home};
+      hand.wall = {...home};
       learn();
     }
 
@@ -193,15 +190,6 @@
       link.click();
       URL.revokeObjectURL(link.href);
     }
-
-    const knob = (b) => [
-      (b.column(Math.max(0, wall.from)) + b.column(Math.min(n, wall.to))) / 2 + (held ? held.dx : 0),
-      b.row(wall.row) + (held ? held.dy : 0),
-    ];
-    const onWall = (b, x, y) => {
-      const middle = knob(b)[0], half = (b.column(Math.min(n, wall.to)) - b.column(Math.max(0, wall.from))) / 2;
-      return Math.abs(y - b.row(wall.row)) < 20 && Math.abs(x - middle) < half + 12;
-    };
 
     function scene(ctx, w, h, colour) {
       const b = board(n, w), now = history[shown];
@@ -218,30 +206,13 @@
       const ends = demos.length ? demos.map(({states}) => states[states.length - 1]) : [];
       for (const s of new Set(ends))
         window.toys.star(ctx, ...b.centre(s), Math.max(9, b.size * 0.95), colour.star, colour.rim);
-      ctx.save();
-      if (held) ctx.translate(held.dx, held.dy);
-      paint.wall(ctx, b, wall, colour);
-      ctx.restore();
-      grip(ctx, ...knob(b), colour);
+      const pulse = hint && !lesson && !drawing && !window.toys.calm();
+      hand.draw(ctx, b, colour, pulse ? 5 * Math.abs(Math.sin(clock * 2.5)) : 0);
       if (drawing && !ways.copy)
         window.toys.dot(ctx, ...b.centre(pen), b.size * 0.45, colour.expert, colour.card);
       if (ways.copy && !stroke) {
         figure(ctx, b, ways.learner, colour.learner, colour, 0.12);
         figure(ctx, b, ways.copy, colour.copy, colour, -0.12);
-      }
-    }
-
-    function grip(ctx, x, y, colour) {
-      const pulse = hint && !lesson && !drawing && !window.toys.calm()
-        ? 5 * Math.abs(Math.sin(clock * 2.5)) : 0;
-      if (pulse) window.toys.dot(ctx, x, y, 14 + pulse, `${colour.wall}55`);
-      window.toys.dot(ctx, x, y, 13, colour.wall, colour.card, 2.5);
-      for (const [dx, dy] of MOVES.slice(1)) {
-        ctx.beginPath();
-        for (const [far, side] of [[9, 0], [5, 3], [5, -3]])
-          ctx.lineTo(x + far * dx + side * dy, y - far * dy + side * dx);
-        ctx.fillStyle = colour.card;
-        ctx.fill();
       }
     }
 
@@ -268,7 +239,7 @@
     }
 
     const step = (dx, dy) => () => {
-      if (!drawing) return move({from: wall.from + dx, row: wall.row + dy});
+      if (!drawing) return hand.move({from: hand.wall.from + dx, row: hand.wall.row + dy});
       const to = Math.min(n - 1, Math.max(0, (pen % n) + dx))
         + n * Math.min(n - 1, Math.max(0, Math.floor(pen / n) + dy));
       if (stroke) extend(to);
@@ -288,22 +259,19 @@
       keys: {ArrowLeft: step(-1, 0), ArrowRight: step(1, 0), ArrowUp: step(0, 1),
         ArrowDown: step(0, -1), Space: space, Enter: space},
       grab: (x, y, ask) => {
-        const b = board(n, pane.w), wanted = onWall(b, x, y);
-        if (ask) return wanted || drawing;
-        if (wanted) held = {x, y, dx: 0, dy: 0, from: wall.from, row: wall.row};
-        else if (drawing) begin(b.at(x, y));
+        const b = board(n, pane.w), wanted = hand.hit(b, x, y);
+        if (!ask && wanted) hand.grab(b, x, y);
+        else if (!ask && drawing) begin(b.at(x, y));
         return wanted || drawing;
       },
       drag: (x, y) => {
         const b = board(n, pane.w);
-        if (!held) return extend(b.at(x, y));
-        const from = held.from + Math.round((x - held.x) / b.size);
-        const row = held.row - Math.round((y - held.y) / b.size);
-        if (from !== wall.from || row !== wall.row) move({from, row});
+        if (hand.holds()) hand.drag(b, x, y);
+        else extend(b.at(x, y));
       },
       drop: () => {
-        if (held) held = null;
-        else if (stroke) end();
+        if (stroke) end();
+        hand.drop();
       },
     });
 
@@ -337,7 +305,7 @@
 
     learn();
     toy.play((passed) => {
-      if (lesson && !held) {
+      if (lesson && !hand.holds()) {
         if (window.toys.calm()) {
           finish();
           think();
@@ -360,8 +328,8 @@
       return true;
     });
     return {
-      state: () => ({demos, home, wall, shown, ways, learning: Boolean(lesson)}),
-      pose: () => move({from: 9}),
+      state: () => ({demos, home, wall: hand.wall, shown, ways, learning: Boolean(lesson)}),
+      pose: () => hand.move({from: 9}),
     };
   }
 
