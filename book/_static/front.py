@@ -1,4 +1,4 @@
-"""Draw the front page's and the README's picture. It takes some minutes.
+"""Draw the README's picture. It takes some minutes.
 
 The reward is the one recorded at the paper's size; the policy for the moved
 wall is trained here.

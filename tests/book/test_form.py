@@ -129,6 +129,15 @@ def test_a_chapter_can_be_read_in_half_an_hour(path):
     assert lines <= 250
 
 
+@pytest.mark.parametrize("path", CHAPTERS + NOTES, ids=lambda path: path.stem)
+def test_a_cell_with_a_toy_only_shows_it(path):
+    """`portable.py` takes no notice of such cells."""
+    for cell in nbformat.read(path, as_version=4).cells:
+        if "toy" in cell.metadata.get("tags", []):
+            assert re.fullmatch(r"from figures import toys\n\ntoys\.show\(\"\w+\"\)", cell.source)
+            assert "remove-input" in cell.metadata["tags"]
+
+
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
 def test_a_chapter_says_where_it_breaks_in_few_words(path):
     text = "\n".join(cell.source for cell, _ in cells(path) if cell.cell_type == "markdown")

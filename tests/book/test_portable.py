@@ -172,6 +172,16 @@ def test_failures_are_counted(toy, tmp_path, capsys, monkeypatch):
     assert portable.entry_of("toy", toy)["runs"] == {}
 
 
+def test_a_cell_that_shows_a_toy_is_no_change(toy):
+    before, page = portable.digest(toy), nbformat.read(toy, as_version=4)
+    page.cells.insert(0, nbformat.v4.new_code_cell("toys.show('walls')"))
+    nbformat.write(page, toy)
+    assert portable.digest(toy) != before
+    page.cells[0].metadata["tags"] = ["toy", "remove-input"]
+    nbformat.write(page, toy)
+    assert portable.digest(toy) == before
+
+
 def test_no_statement_of_the_book_has_failed_elsewhere():
     """Of a page that was run less often than needed `make test` makes one run more."""
     entries = [portable.entry_of(name, page) for name, page in portable.pages().items()]

@@ -14,7 +14,11 @@ ROOT = Path(__file__).parents[2]
 EXTENSION = runpy.run_path(str(ROOT / "book/_ext/status.py"))
 BUDGET = json.loads((ROOT / "book/minutes.json").read_text())
 MINUTES = BUDGET["chapters"]
-CHAPTERS = [Path(page).name for page in parse_toc_yaml(ROOT / "_toc.yml") if page[5:6].isdigit()]
+CHAPTERS = [
+    Path(page).name
+    for page in parse_toc_yaml(ROOT / "_toc.yml")
+    if page[5:6].isdigit() and (ROOT / f"{page}.ipynb").exists()
+]
 NOTES = BUDGET["notes"]
 PATHS = {f"book/{name}": minutes for name, minutes in MINUTES.items()}
 PATHS |= {f"book/notes/{name}": minutes for name, minutes in NOTES.items()}

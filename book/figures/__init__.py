@@ -1,0 +1,1 @@
+"""Pictures of the pages, one module each, and the interactive figures."""

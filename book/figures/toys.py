@@ -1,0 +1,147 @@
+"""The interactive figures: how a page shows one, and what was drawn in it.
+
+A toy is a short program in `_static/toys/`, in plain JavaScript. All that
+it needs is written into the page, so that it works without a network in
+the rendered book and in Jupyter.
+"""
+
+import base64
+import html
+import json
+from pathlib import Path
+
+import numpy as np
+from IPython.display import HTML
+
+from offairl_lite.tabular import MDP, MOVES, Trajectories
+
+FOLDER = Path(__file__).parents[1] / "_static/toys"
+TOYS: dict[str, tuple[list[str], str]] = {
+    "walls": (
+        ["mazes"],
+        "A maze with a wall across it. Two agents start at the bottom: one "
+        "copied the expert's moves and stands before the wall, the other "
+        "plans with the learned reward and goes round it to the star.",
+    ),
+    "rewards": (
+        ["mazes"],
+        "Two mazes coloured by a reward of the move. In the first its "
+        "policy goes round the wall; when the wall has moved, into it. "
+        "Below, its score falls from near 100 % to 0 after about a hundred "
+        "steps of the optimiser; that of a reward of the place does not.",
+    ),
+    "corridor": (
+        [],
+        "Seven rooms and a door on the right. Above, the expert walks out. "
+        "Below, its imitator is paid for every step, and stays in front of "
+        "the door.",
+    ),
+    "products": (
+        [],
+        "Two Gaussian policies over two actions, drawn as ellipses, one "
+        "narrow and high, one flat and wide. Multiplied, they leave a "
+        "round spot where the ellipses cross; added, a cross.",
+    ),
+    "life": (
+        ["mazes"],
+        "An agent between a cliff and a goal, and below it a map over the "
+        "discount and a constant. Where the constant is high the best "
+        "policy never ends, where it is low it falls, and in between it "
+        "walks to the goal.",
+    ),
+    "drawn_maze": (
+        ["mazes", "tables"],
+        "The maze after the wall has moved, coloured by a reward learned "
+        "before, which is highest at the star. The planned way leads "
+        "through the new gap to the star.",
+    ),
+}
+"""For each toy the programs that it needs, and what its still shows."""
+
+
+def page(name: str) -> str:
+    """Return the HTML of a toy, with its programs, style and still.
+
+    The still is there without JavaScript, and on paper.
+
+    Raises:
+        ValueError: there is no toy of this name.
+    """
+    if name not in TOYS:
+        raise ValueError(
+            f"there is no toy {name!r}; choose one of {', '.join(TOYS)}"
+        )
+    needs, alternative = TOYS[name]
+    script = "\n".join(
+        (FOLDER / f"{part}.js").read_text("utf-8")
+        for part in ("toys", *needs, name)
+    )
+    style = (FOLDER / "toys.css").read_text("utf-8")
+    still = base64.b64encode((FOLDER / f"{name}.png").read_bytes()).decode()
+    return (
+        f"<style>\n{style}</style>\n"
+        f'<div class="toy" data-toy="{name}">'
+        f'<img class="toy-still" alt="{html.escape(alternative)}" '
+        f'src="data:image/png;base64,{still}"></div>\n'
+        f"<script>\n{script}\nwindow.toys.start();\n</script>"
+    )
+
+
+def show(name: str) -> HTML:
+    """Display a toy, such as `"walls"`."""
+    return HTML(page(name))
+
+
+def drawn(path: str | Path, length: int = 400) -> Trajectories:
+    """Return demonstrations that were drawn in the toy of the front page.
+
+    Each stays at its last square until it has `length` actions, since the
+    tabular functions take demonstrations of equal length. With 400, what
+    would come later counts nothing, if the discount is 0.97.
+
+    Returns:
+        Indices of squares, (N, T + 1), and of actions, (N, T).
+
+    Raises:
+        ValueError: a demonstration is longer than `length`.
+    """
+    demonstrations = json.loads(Path(path).read_text("utf-8"))[
+        "demonstrations"
+    ]
+    longest = max(len(one["actions"]) for one in demonstrations)
+    if longest > length:
+        raise ValueError(
+            f"a demonstration has {longest} actions; choose a length of at "
+            f"least that, not {length}"
+        )
+    states = [one["states"] for one in demonstrations]
+    actions = [one["actions"] for one in demonstrations]
+    return Trajectories(
+        np.array(
+            [way + way[-1:] * (length + 1 - len(way)) for way in states]
+        ),
+        np.array(
+            [moves + [0] * (length - len(moves)) for moves in actions]
+        ),
+    )
+
+
+def maze(path: str | Path, discount: float = 0.97) -> MDP:
+    """Return the maze in which the demonstrations of a file were drawn.
+
+    Its first square is that of one of the demonstrations, each as likely.
+    """
+    content = json.loads(Path(path).read_text("utf-8"))
+    cells, wall = content["cells"], content["wall"]
+    row, column = np.divmod(np.arange(cells**2), cells)
+    to_row = np.clip(row[:, None] + MOVES[:, 1], 0, cells - 1)
+    to_column = np.clip(column[:, None] + MOVES[:, 0], 0, cells - 1)
+    under = (wall["from"] <= column) & (column < wall["to"])
+    crosses = (to_row != row[:, None]) & under[:, None]
+    crosses &= np.maximum(to_row, row[:, None]) == wall["row"]
+    arrival = np.where(
+        crosses, np.arange(cells**2)[:, None], to_row * cells + to_column
+    )
+    starts = [one["states"][0] for one in content["demonstrations"]]
+    initial = np.bincount(starts, minlength=cells**2) / len(starts)
+    return MDP(np.eye(cells**2)[arrival], initial, discount)

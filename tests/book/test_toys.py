@@ -1,0 +1,427 @@
+"""The interactive figures: their numbers are the package's, and hands and keys can use them."""
+
+import json
+import re
+import runpy
+from functools import partial
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
+from test_browser import BROWSERS, FLAGS, LOCAL, MAC, shutil, sync_api
+
+from figures import toys
+from offairl_lite import tabular
+from offairl_lite.core.policies import product_of_gaussians
+from offairl_lite.tabular import empirical_occupancy, occupancy, soft_value_iteration
+
+BOOK = Path(toys.__file__).parents[1]
+PAGE = """<!doctype html><html data-theme={theme}><meta charset=utf-8>
+<meta name=viewport content="width=device-width"><body>{body}"""
+LIST = partial(json.dumps, default=np.ndarray.tolist)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    executable = next(filter(None, map(shutil.which, [*BROWSERS, MAC])), None)
+    if executable is None:
+        pytest.skip("no Chromium or Chrome found: `make system` installs one on Debian and Ubuntu")
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Open a page with toys; it must load nothing and make no error."""
+    views, wrong = [], []
+
+    def visit(*names, theme="light", width=900, **options):
+        path = tmp_path / f"{len(views)}.html"
+        path.write_text(PAGE.format(theme=theme, body="".join(map(toys.page, names))))
+        options.setdefault("reduced_motion", "reduce")
+        view = browser.new_page(viewport={"width": width, "height": 1000}, **options)
+        view.on("console", lambda m: m.type == "error" and wrong.append(m.text))
+        view.on("pageerror", lambda error: wrong.append(f"{error}"))
+        view.on("request", lambda r: LOCAL(r.url) or wrong.append(r.url))
+        view.goto(path.as_uri())
+        views.append(view)
+        return view
+
+    yield visit
+    for view in views:
+        view.close()
+    assert wrong == []
+
+
+def said(view):
+    """What a toy announces when it has learned."""
+    view.wait_for_function("!toys.all[0].state().learning")
+    return view.locator(".toy-says").first.inner_text()
+
+
+@pytest.fixture(scope="module")
+def compute(browser):
+    """Evaluate JavaScript where all toys are known."""
+    view = browser.new_page()
+    view.set_content(PAGE.format(theme="light", body="".join(map(toys.page, toys.TOYS))))
+    yield lambda code: view.evaluate(f"(() => {{const {{mazes}} = toys; {code}}})()")
+    view.close()
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+@pytest.mark.parametrize("cells", [12, 20])
+def test_the_mazes_are_the_packages(compute, cells, side):
+    maze = tabular.maze(cells, side)
+    theirs = compute(f"""const {{wall, start, goal, reward}} = mazes.book({cells}, "{side}");
+      return {{to: [...mazes.build({cells}, wall)], start, goal, reward: [...reward]}};""")
+    assert theirs["to"] == maze.mdp.transition.indices.tolist()
+    assert theirs["start"] == maze.mdp.initial.argmax()
+    assert theirs["goal"] == maze.reward.argmax()
+    np.testing.assert_allclose(theirs["reward"], maze.reward, atol=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 1.0])
+@pytest.mark.parametrize("shape", [(144,), (144, 5)])
+def test_policies_and_visits_are_the_packages(compute, alpha, shape):
+    maze = tabular.maze(12, "Right")
+    reward = np.random.default_rng(0).normal(size=shape)
+    theirs = compute(f"""const to = mazes.build(12, mazes.book(12, "Right").wall);
+      const {{policy, value}} = mazes.solve(to, {LIST(reward.ravel())}, {alpha}, 0.97);
+      const d = mazes.visits(to, policy, {LIST(maze.mdp.initial)}, 0.97);
+      return [[...policy], [...value], [...d],
+        mazes.score(d, policy, {LIST(maze.reward)})];""")
+    solution = soft_value_iteration(maze.mdp, reward, alpha)
+    visits = occupancy(maze.mdp, solution.policy)
+    np.testing.assert_allclose(theirs[0], solution.policy.ravel(), atol=1e-6)
+    np.testing.assert_allclose(theirs[1], solution.value, atol=1e-6)
+    np.testing.assert_allclose(theirs[2], visits.sum(1), atol=1e-6)
+    assert theirs[3] == pytest.approx(visits.sum(1) @ maze.reward, abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def given(compute, tmp_path_factory):
+    """A file as the toy writes it, with the three demonstrations that it offers."""
+    path = tmp_path_factory.mktemp("drawn") / "demonstrations.json"
+    content = compute("""return {cells: 20, wall: mazes.book(20, "Left").wall,
+      demonstrations: toys.walls.given()}""")
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_what_was_drawn_can_be_read(given):
+    maze = toys.maze(given)
+    assert (maze.transition != tabular.maze(20, "Left").mdp.transition).nnz == 0
+    drawn = toys.drawn(given)
+    assert drawn.states.shape == (3, 401)
+    assert empirical_occupancy(maze, drawn).sum() == pytest.approx(1 / 0.03)
+    with pytest.raises(ValueError, match="a demonstration has 23 actions"):
+        toys.drawn(given, length=22)
+
+
+def test_learning_climbs_the_likelihood(compute, given):
+    """Its steps are the gradient of chapter 1, spread over neighbours."""
+    mdp, drawn = toys.maze(given), toys.drawn(given)
+    seen = empirical_occupancy(mdp, drawn)
+    history = compute("""const lesson = toys.walls.learning(
+        mazes.build(20, mazes.book(20, "Left").wall), toys.walls.given());
+      return [...Array(20)].map(() => lesson.next().value)
+        .map(({reward, difference}) => [[...reward], [...difference]]);""")
+    likelihoods = []
+    for reward, difference in history:
+        likelihood, gradient = tabular.log_likelihood(mdp, np.array(reward), seen)
+        likelihoods.append(likelihood)
+        np.testing.assert_allclose(difference, gradient.sum(1), atol=1e-3)
+    assert (np.diff(likelihoods) > 0).all()
+    steps = np.diff([reward for reward, _ in history], axis=0)
+    bumps = (
+        0.05
+        * 2
+        * np.pi
+        * gaussian_filter(
+            np.reshape([d for _, d in history[:-1]], (-1, 20, 20)),
+            (0, 1, 1),
+            mode="constant",
+            truncate=9,
+        )
+    )
+    np.testing.assert_allclose(steps, bumps.reshape(-1, 400), atol=1e-3)
+
+
+def squares(view):
+    """Turn a column and a row, counted from the lower left, into a place on the screen."""
+    box = view.locator(".toy canvas").first.bounding_box()
+    size = (box["width"] - 14) / 20
+    return lambda column, row: (
+        box["x"] + 7 + size * column,
+        box["y"] + box["width"] - 7 - size * row,
+    )
+
+
+def drag(view, *places):
+    view.mouse.move(*places[0])
+    view.mouse.down()
+    for place in places[1:]:
+        view.mouse.move(*place, steps=8)
+    view.mouse.up()
+
+
+def test_the_wall_is_dragged_with_the_mouse(opened):
+    view = opened("walls", reduced_motion="no-preference")
+    assert said(view) == "Copy: arrives. Reward: arrives. Now drag the wall."
+    at = squares(view)
+    drag(view, at(7, 11), at(16, 11))
+    assert said(view) == "Copy: stuck. Reward: arrives."
+    drag(view, at(14.5, 11), at(5.5, 11))
+    assert said(view) == "Copy: arrives. Reward: arrives. Now drag the wall."
+
+
+def test_the_wall_is_moved_with_keys(opened):
+    view = opened("walls")
+    view.keyboard.press("Tab")
+    outline = "getComputedStyle(document.activeElement).outlineStyle"
+    assert view.evaluate(f"[document.activeElement.tagName, {outline}]") == ["CANVAS", "solid"]
+    for _ in range(9):
+        view.keyboard.press("ArrowRight")
+    assert said(view) == "Copy: stuck. Reward: arrives."
+    view.keyboard.press("ArrowDown")
+    assert view.evaluate("toys.all[0].state().wall.row") == 10
+
+
+def test_demonstrations_are_drawn_with_a_finger_and_downloaded(opened, tmp_path):
+    view = opened("walls", width=390, has_touch=True, is_mobile=True, device_scale_factor=3)
+    view.get_by_role("button", name="Draw your own").tap()
+    at, hand = squares(view), view.context.new_cdp_session(view)
+    places = [at(3.5, 3.5), at(17.5, 3.5), at(17.5, 13.5), at(4.5, 16.5)]
+    scrolled = view.evaluate("scrollY")
+    for kind, place in zip(["Start", "Move", "Move", "Move", "End"], [*places, None], strict=True):
+        points = [{"x": place[0], "y": place[1]}] if place else []
+        hand.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+    assert view.evaluate("scrollY") == scrolled
+    assert "Reward: arrives" in said(view)
+    with view.expect_download() as download:
+        view.get_by_role("button", name="Download").tap()
+    path = tmp_path / "drawn.json"
+    download.value.save_as(path)
+    maze, drawn = toys.maze(path), toys.drawn(path)
+    assert len(drawn.states) == 1
+    assert drawn.states[0, [0, -1]].tolist() == [3 + 20 * 3, 4 + 20 * 16]
+    assert maze.initial.argmax() == 3 + 20 * 3
+    assert empirical_occupancy(maze, drawn)[4 + 20 * 16].sum() > 9
+
+
+def test_demonstrations_are_drawn_with_keys(opened):
+    view = opened("walls")
+    view.get_by_role("button", name="Draw your own").click()
+    view.locator(".toy canvas").first.focus()
+    keys = ["Space", *["ArrowLeft"] * 6, "Space"]
+    for key in keys:
+        view.keyboard.press(key)
+    (one,) = view.evaluate("toys.all[0].state().demos")
+    assert one["actions"] == [3] * 6
+    assert said(view).startswith("Copy: arrives. Reward: arrives")
+
+
+def test_a_toy_has_a_still_for_paper_and_without_scripts(opened):
+    view = opened(*toys.TOYS)
+    shown = """[...document.querySelectorAll('.toy')]
+      .map(toy => [...toy.children].filter(e => e.offsetHeight).map(e => e.tagName))"""
+    assert view.evaluate(shown) == [["DIV", "P", "DIV"]] * len(toys.TOYS)
+    view.emulate_media(media="print")
+    assert view.evaluate(shown) == [["IMG"]] * len(toys.TOYS)
+    view = opened(*toys.TOYS, java_script_enabled=False)
+    stills = view.get_by_role("img").all()
+    assert len(stills) == len(toys.TOYS)
+    assert min(still.bounding_box()["height"] for still in stills) > 100
+
+
+def test_toys_fit_a_phone_and_a_dark_page(opened):
+    light, dark = (opened(*toys.TOYS, theme=theme, width=390) for theme in ("light", "dark"))
+    paper = "getComputedStyle(document.querySelector('.toy')).backgroundColor"
+    brightness = [sum(map(int, re.findall(r"\d+", v.evaluate(paper))[:3])) for v in (light, dark)]
+    assert brightness[0] > 700 > 200 > brightness[1]
+    assert light.evaluate("document.documentElement.scrollWidth") == 390
+    dark.evaluate("document.documentElement.dataset.theme = 'light'")
+    dark.wait_for_function(f"{paper} === '{light.evaluate(paper)}'")
+    lab = "delete document.documentElement.dataset.theme; document.body.dataset.jpThemeLight = "
+    dark.evaluate(lab + "'false'")
+    dark.wait_for_function(f"{paper} !== '{light.evaluate(paper)}'")
+
+
+def test_two_toys_on_a_page_are_each_started_once(opened):
+    view = opened("walls", "walls")
+    assert view.evaluate("toys.all.length") == 2
+    assert view.locator(".toy-stage").count() == 2
+
+
+def test_a_toy_that_does_not_exist_is_named():
+    with pytest.raises(ValueError, match="there is no toy 'wals'; choose one of walls"):
+        toys.show("wals")
+
+
+def cells(page, *ids):
+    """Run cells of a chapter; return the names that they make."""
+    names = {"np": np, "tabular": tabular}
+    for cell in nbformat.read(BOOK / page, as_version=4).cells:
+        if cell.id in ids:
+            exec(cell.source, names)
+    return names
+
+
+def test_the_reward_of_the_move_falls_off_the_cliff_and_that_of_the_place_does_not(compute):
+    """Each is learned as in chapter 1: what the toy plans with it returns what the package does."""
+    rewards = compute("""const {MAZES, alpha, gamma, expert, planned} = toys.rewards;
+      const {seen, initial} = expert();
+      const at = (ofState, k) => {
+        const lesson = mazes.maxent(MAZES[0].to, seen, initial, alpha, gamma, ofState);
+        let reward;
+        for (let i = 0; i <= k; i++) reward = lesson.next().value;
+        return {reward: [...reward], values: MAZES.map((m) => planned(m, reward, alpha).value)};
+      };
+      return {place: at(true, 100), early: at(false, 50), late: at(false, 150)};""")
+    returns = {}
+    for name, learned in rewards.items():
+        reward = np.array(learned["reward"])
+        reward = reward if name == "place" else reward.reshape(400, 5)
+        returns[name] = []
+        for side in ("Left", "Right"):
+            maze = tabular.maze(20, side)
+            policy = soft_value_iteration(maze.mdp, reward, 0.05).policy
+            returns[name].append(tabular.policy_return(maze.mdp, policy, maze.reward))
+        assert learned["values"] == pytest.approx(returns[name], abs=1e-6)
+    assert min(first for first, _ in returns.values()) > -5.2
+    assert returns["place"][1] > -5.2
+    assert returns["early"][1] > -6
+    assert returns["late"][1] < -9
+
+
+def test_the_shaping_changes_no_policy_of_the_first_maze(compute):
+    noise = compute("return [...toys.rewards.shaping()]")
+    maze, shaped = tabular.maze(20, "Left"), np.reshape(noise, (400, 5))
+    assert shaped.std() > 0.1
+    before = soft_value_iteration(maze.mdp, maze.reward, 0.05).policy
+    after = soft_value_iteration(maze.mdp, maze.reward[:, None] + shaped, 0.05).policy
+    np.testing.assert_allclose(after, before, atol=1e-8)
+
+
+@pytest.mark.parametrize("who", ["A", "B"])
+def test_the_corridor_is_that_of_chapter_2(compute, who):
+    ids = "2b726df3", "1c4374cd", "8d6e1d18-helpers", "4816d6ec", "091c50b3"
+    chapter = cells("02_gail_and_dac.ipynb", *ids)
+    ends = compute(f"""const {{REWARDS, EXPERTS, round, gone, occupancy}} = toys.corridor;
+      return Object.values(REWARDS).map(({{of}}) => {{
+        let policy = Array(7).fill(0.5);
+        for (let k = 0; k < 150; k++) ({{policy}} = round(EXPERTS.{who}, policy, of));
+        return {{policy, gone: gone(policy), time: occupancy(policy)}};
+      }});""")
+    for end, reward in zip(ends, chapter["REWARDS"].values(), strict=True):
+        policy = chapter["play"](chapter["EXPERTS"][who], reward)
+        np.testing.assert_allclose(end["policy"], policy[:, 1], atol=1e-6)
+        np.testing.assert_allclose(end["time"], chapter["occupancy"](policy), atol=1e-6)
+        assert end["gone"] == pytest.approx(chapter["gone"](policy), abs=1e-6)
+
+
+def test_products_are_the_packages(compute):
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=(2, 2)), rng.uniform(0.1, 1, (2, 2))
+    weight = rng.uniform(0.1, 1, 2)
+    primitives = [{"mean": m, "std": s} for m, s in zip(mean, std, strict=True)]
+    theirs = compute(f"""const primitives = {LIST(primitives)};
+      return [toys.products.compose(primitives, {LIST(weight)}),
+        toys.products.mixture(primitives, {LIST(weight)}, [0.3, -0.2])];""")
+    tensors = [torch.as_tensor(x) for x in (mean, np.log(std), weight)]
+    for ours, key in zip(product_of_gaussians(*tensors), ("mean", "std"), strict=True):
+        ours = ours if key == "mean" else ours.exp()
+        np.testing.assert_allclose([part[key] for part in theirs[0]], ours, atol=1e-9)
+    each = norm.pdf([0.3, -0.2], mean, std).prod(1)
+    assert theirs[1] == pytest.approx(each @ weight / weight.sum())
+
+
+def test_lives_are_those_of_chapter_7(compute):
+    chapter = cells("07_absorbing_states.ipynb", "b889d278", "c104095d")
+    theirs = compute(f"""const gammas = {LIST(chapter["gammas"])};
+      const shifts = {LIST(chapter["shifts"])};
+      return [0, 1].map((own) => shifts.map((c) =>
+        gammas.map((g) => toys.life.fate(c, g, own * c))));""")
+    assert theirs == [chapter["nothing"], chapter["itself"]]
+
+
+def test_the_rewards_of_the_maze_are_the_recorded_ones_and_plans_are_the_packages(compute):
+    tables = runpy.run_path(str(toys.FOLDER / "tables.py"))
+    table = compute("return toys.tables")
+    np.testing.assert_allclose(table["rewards"], tables["rewards"](), atol=1)
+    maze = tabular.maze(table["cells"], "Right")
+    value = compute("""const {cells, rewards} = toys.tables;
+      return [...toys.drawn_maze.planned(mazes.book(cells, "Right").wall, rewards[2]).value];""")
+    reward = np.array(table["rewards"][2]) / 999
+    expected = soft_value_iteration(maze.mdp, reward, 0.0).value
+    np.testing.assert_allclose(value, expected, atol=1e-6)
+
+
+def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
+    view = opened("rewards", "corridor", "products", "life", "drawn_maze")
+    state = "toys.all[{}].state()"
+    canvas = view.locator(".toy canvas")
+
+    view.evaluate("toys.all[0].pose()")
+    assert "First maze: 10" in said(view) or "First maze: 9" in said(view)
+    assert re.search(r"Moved wall: −?\d %", said(view))
+    view.get_by_text("a place: r(s)").click()
+    assert re.search(r"Moved wall: (9\d|100) %", said(view))
+    view.get_by_role("button", name="Add a shaping").click()
+    assert "with a shaping" in said(view)
+    canvas.nth(2).press("ArrowLeft")
+    assert view.evaluate(state.format(0))["step"] == 129
+
+    view.get_by_text("log D − log(1 − D)").click()
+    view.evaluate("toys.all[1].finish()")
+    says = view.locator(".toy-says").nth(1)
+    assert "expert 100 %, imitator 100 %" in says.inner_text()
+    canvas.nth(3).press("ArrowDown")
+    assert view.evaluate(state.format(1))["expert"] == pytest.approx(
+        [0.95, 0.95, 0.95, 0.8, 0.95, 0.95, 0.95]
+    )
+
+    canvas.nth(4).scroll_into_view_if_needed()
+    box = canvas.nth(4).bounding_box()
+    middle, scale = box["width"] / 2, box["width"] / 5.2
+    at = [
+        (box["x"] + middle + scale * x, box["y"] + middle - scale * y)
+        for x, y in [(0.9, 0.3), (-0.7, 0.3)]
+    ]
+    drag(view, *at)
+    assert view.evaluate(state.format(2))["primitives"][0]["mean"] == pytest.approx(
+        [-0.7, 0.3], abs=0.03
+    )
+    canvas.nth(4).press("ArrowUp")
+    assert view.evaluate(state.format(2))["primitives"][0]["mean"][1] == pytest.approx(
+        0.4, abs=0.03
+    )
+
+    for _ in range(4):
+        canvas.nth(7).press("ArrowUp")
+    says = view.locator(".toy-says").nth(3)
+    assert "the agent never ends" in says.inner_text()
+    view.get_by_text("c, for ever").click()
+    assert "the agent walks to the goal" in says.inner_text()
+
+    canvas.nth(8).scroll_into_view_if_needed()
+    says = view.locator(".toy-says").nth(4)
+    assert "arrives 3 cm from the star, after 29 moves" in says.inner_text()
+    view.get_by_role("button", name="Move the wall").click()
+    assert view.evaluate(state.format(4))["wall"]["from"] == 12
+    assert "arrives" in says.inner_text()
+    box = canvas.nth(8).bounding_box()
+    size = (box["width"] - 14) / 28
+    at = [
+        (box["x"] + 7 + size * (x + 0.5), box["y"] + box["width"] - 7 - size * (y + 0.5))
+        for x, y in [(15, 3), (25, 12)]
+    ]
+    drag(view, *at)
+    assert view.evaluate(state.format(4))["start"] == 25 + 28 * 12
+    assert "arrives" in says.inner_text()
