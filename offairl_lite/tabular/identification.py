@@ -13,7 +13,7 @@ import scipy
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from offairl_lite.config.settings import NonNegative, checked
+from offairl_lite.config.settings import Positive, checked
 from offairl_lite.tabular.mdp import MDP
 from offairl_lite.tabular.sampling import Trajectories
 
@@ -65,40 +65,44 @@ def shared_reward(
     log_policies: Sequence[Float[Array, "S A"]],
     temperature: float = 1.0,
     weights: Sequence[Float[Array, "S A"]] | None = None,
-    ridge: float = 0.0,
+    ridge: float = 1e-12,
     of_state: bool = False,
 ) -> Float[Array, "S A"]:
     """Return the reward that explains the experts of all worlds best.
 
-    It minimises Σ_i Σ w_i (r + γ_i P_i V_i - V_i - α log π_i)² + ridge ‖r‖² over r and all V_i.
-    Without a ridge, of all minima it is the one of least ‖(r, V_1, ..., V_W)‖.
+    It minimises Σ_i Σ w_i (r + γ_i P_i V_i - V_i - α log π_i)² + ridge ‖r‖² over r and all V_i. The
+    default ridge only decides between rewards that explain them equally well: for the smallest.
 
     Args:
         worlds: the processes.
         log_policies: log π_i, finite, of each world's expert.
         temperature: α > 0 of all experts.
         weights: w_i ≥ 0; by default 1. The variance of α log π̂ is about α² divided by the count.
-        ridge: at least 0; where weights are 0, it must be positive.
+        ridge: above 0.
         of_state: whether r may depend on the state alone.
     """
-    checked("ridge", ridge, NonNegative)
+    checked("ridge", ridge, Positive)
     count, (s, a) = len(_same_size(worlds)), np.shape(log_policies[0])
-    basis = np.repeat(np.eye(s), a, axis=0) if of_state else np.eye(s * a)
-    value = np.zeros((s * a, count * s))
-    blocks = []
+    shown = temperature * np.stack(log_policies).reshape(count, s * a, 1)
+    w = np.ones_like(shown) if weights is None else np.stack(weights).reshape(shown.shape)
+
+    def mean(x: Float[Array, "W S*A K"]) -> Float[Array, "S*A K"]:
+        """The best r for given V_i: of all α log π_i - shaping of V_i, their weighted mean."""
+        total, weight = ((w * part).sum(0).reshape(s, a, -1) for part in (x, np.ones_like(shown)))
+        if of_state:
+            total, weight = (part.mean(1, keepdims=True) for part in (total, weight))
+        return np.broadcast_to(total / (weight + ridge), (s, a, x.shape[2])).reshape(s * a, -1)
+
+    of_values = np.zeros((count, s * a, count, s))
     for i, mdp in enumerate(worlds):
-        value[:], value[:, i * s : (i + 1) * s] = 0, shapings(mdp)
-        blocks.append(np.hstack([basis, value]))
-    system, shown = np.vstack(blocks), temperature * np.stack(log_policies).ravel()
-    if ridge == 0 and weights is None:
-        solution = scipy.linalg.lstsq(system, shown, cond=1e-11)[0]
-    else:
-        w = np.ones_like(shown) if weights is None else np.stack(weights).ravel()
-        # V, which may be large, is held back a million times less: enough where nothing was seen.
-        prior = np.where(np.arange(system.shape[1]) < basis.shape[1], ridge, 1e-6 * ridge)
-        normal = system.T @ (w[:, None] * system) + np.diag(prior)
-        solution = scipy.linalg.solve(normal, system.T @ (w * shown), assume_a="pos")
-    return (basis @ solution[: basis.shape[1]]).reshape(s, a)
+        of_values[i, :, i] = shapings(mdp)
+    of_values = of_values.reshape(count, s * a, count * s)
+    rows, target = (
+        np.vstack([*np.sqrt(w) * (part - mean(part)), np.sqrt(ridge) * mean(part)])
+        for part in (of_values, shown)
+    )
+    values = np.linalg.lstsq(rows, target)[0]
+    return mean(shown - of_values @ values).reshape(s, a)
 
 
 def counted(
