@@ -51,13 +51,25 @@ def separation(worlds: Sequence[MDP], seen: Bool[Array, "S A"] | None = None) ->
         worlds: the processes, with their discounts.
         seen: the pairs (s, a) that count; by default all.
     """
+    sines = _hiding(worlds, seen)[1]
+    free = int((sines < _ANGLE).sum())
+    return Separation(free, float(sines[1]) if free == 1 else 0.0)
+
+
+def hidden(worlds: Sequence[MDP]) -> Float[Array, "S A free"]:
+    """Return an orthonormal basis of what may be added to a reward unnoticed in all worlds."""
+    directions, sines = _hiding(worlds)
+    basis = directions[:, sines < _ANGLE]
+    return basis.reshape(worlds[0].num_states, worlds[0].num_actions, -1)
+
+
+def _hiding(worlds, seen=None) -> tuple[Float[Array, "N K"], Float[Array, "K"]]:
+    """Return orthogonal directions of r(s, a) and what worlds show of each, the least first."""
     rows = slice(None) if seen is None else np.asarray(seen).ravel()
     bases = [scipy.linalg.orth(shapings(mdp)[rows]) for mdp in _same_size(worlds)]
     # With the bases beside each other in Q, the squares of the projections add up to W - QQᵀ.
-    cosines = np.linalg.svd(np.hstack(bases), compute_uv=False)
-    sines = np.sqrt(np.clip(len(worlds) - cosines**2, 0, None))
-    free = int((sines < _ANGLE).sum())
-    return Separation(free, float(sines[1]) if free == 1 else 0.0)
+    directions, cosines, _ = np.linalg.svd(np.hstack(bases), full_matrices=False)
+    return directions, np.sqrt(np.clip(len(worlds) - cosines**2, 0, None))
 
 
 def shared_reward(

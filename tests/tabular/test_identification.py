@@ -11,6 +11,7 @@ from offairl_lite import tabular
 from offairl_lite.tabular import (
     MDP,
     counted,
+    hidden,
     sample,
     separation,
     shapings,
@@ -61,6 +62,21 @@ def test_two_random_worlds_identify_any_reward_and_one_does_not(seed):
     shown = experts(worlds, reward)
     assert error(shared_reward(worlds, shown, 0.5), reward) < 1e-9
     assert error(shared_reward(worlds[:1], shown[:1], 0.5), reward) > 0.1
+
+
+def test_what_is_hidden_changes_no_expert_and_nothing_else_is_hidden():
+    worlds = [world("Left"), world("Right")]
+    basis = hidden(worlds)
+    assert basis.shape == (CELLS**2, 5, separation(worlds).free)
+    flat = basis.reshape(-1, basis.shape[2])
+    np.testing.assert_allclose(flat.T @ flat, np.eye(flat.shape[1]), atol=1e-12)
+    reward = random_reward(worlds[0])
+    other = reward + basis @ np.random.default_rng(4).normal(size=flat.shape[1])
+    for before, after in zip(experts(worlds, reward), experts(worlds, other), strict=True):
+        np.testing.assert_allclose(before, after, atol=1e-8)
+    constant = hidden([world(), world(slip=0.3)])
+    assert constant.shape == (CELLS**2, 5, 1)
+    assert np.ptp(constant) < 1e-6
 
 
 def test_a_reward_that_is_learned_explains_every_expert():
