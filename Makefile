@@ -12,7 +12,7 @@ HTML  := _build/html
 # changed, at each scale apart. (The usual execution caches look at the notebook alone.) If a cell
 # fails, the page is rendered with a mark, and run again the next time.
 CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
-SOURCES  := $(wildcard book/*.py) book/checks/__init__.py book/figures/toys.py $(wildcard book/_static/toys/*) $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
+SOURCES  := $(wildcard book/*.py book/figures/*.py book/_static/toys/*) book/checks/__init__.py $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
 
 # The seconds of a cell: at most ten minutes, except at full scale.

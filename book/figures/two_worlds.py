@@ -1,0 +1,160 @@
+"""The pictures and tables of chapter 12."""
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from IPython.display import HTML
+from jaxtyping import Float
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from numpy import ndarray as Array
+
+from drawing import table
+from grid_worlds import CELLS, dense
+from offairl_lite.analysis import plots
+from offairl_lite.tabular import MDP, soft_value_iteration
+
+ALPHA = 0.05
+EDGE = [patheffects.withStroke(linewidth=5, foreground="white")]
+
+
+def draw_world(
+    ax: Axes, mdp: MDP, reward: Float[Array, "S"], color: str, policy: Array
+) -> None:
+    """Draw walls, a reward of the squares and the policy's likely way."""
+    grid = reward.reshape(CELLS, CELLS)
+    ax.imshow(grid - grid.max(), origin="lower", cmap="cividis", vmin=-0.6)
+    p = dense(mdp).max(1)  # the likeliest action that leads there
+    for low in range(CELLS * (CELLS - 1)):
+        if p[low, low + CELLS] == 0:
+            row, column = divmod(low, CELLS)
+            ends = [column - 0.5, column + 0.5]
+            ax.plot(ends, [row + 0.5] * 2, color="black", lw=5)
+    way = _way(mdp, policy)
+    ax.plot(*way.T, color=color, lw=2.5, path_effects=EDGE, zorder=3)
+    at = {"mec": "black", "zorder": 4, "ls": ""}
+    ax.plot(*way[0], marker="o", color="white", ms=7, **at)
+    ax.plot(*way[-1], marker="o", color=color, ms=8, **at)
+    goal = divmod(int(reward.argmax()), CELLS)[::-1]
+    ax.plot(*goal, marker="*", color=plots.GREEN, ms=14, **at)
+    ax.set(xticks=[], yticks=[], xlim=(-0.5, CELLS - 0.5))
+    ax.grid(False)
+
+
+def _way(mdp: MDP, policy, steps=50) -> Array:
+    state, way = int(mdp.initial.argmax()), []
+    go = dense(mdp).argmax(-1)
+    for _ in range(steps):
+        way.append(divmod(state, CELLS)[::-1])
+        state = go[state, policy[state].argmax()]
+    return np.array(way)
+
+
+def opening(
+    shown: MDP, new: MDP, truth: Array, rewards: Mapping[str, Array]
+) -> None:
+    """Draw the expert, and what learned rewards lead to in a new maze."""
+    size = 1 + len(rewards)
+    with plots.style():
+        _, axes = plt.subplots(1, size, figsize=(7.4, 7.4 / size + 0.4))
+    expert = soft_value_iteration(shown, truth, ALPHA).policy
+    draw_world(axes[0], shown, truth, plots.GREEN, expert)
+    axes[0].set_title("the expert's maze")
+    colors = (plots.ORANGE, plots.BLUE)
+    for ax, (name, r), color in zip(
+        axes[1:], rewards.items(), colors, strict=True
+    ):
+        policy = soft_value_iteration(new, r, ALPHA).policy
+        draw_world(ax, new, truth, color, policy)
+        ax.set_title(name)
+    plt.show()
+
+
+def pairs(rows: Mapping[str, Sequence]) -> HTML:
+    """Return the table of second recordings."""
+    head = (
+        "the second recording",
+        "directions left free",
+        "distance σ",
+        "door elsewhere",
+        "lower wall",
+    )
+    return table(
+        head,
+        [
+            (
+                name,
+                str(free),
+                f"{far:.3f}" if far else "0",
+                *(f"{100 * x:z.0f} %".replace("-", "−") for x in scores),
+            )
+            for name, (free, far, *scores) in rows.items()
+        ],
+    )
+
+
+def distances(
+    slips: Sequence[float],
+    far: Sequence[float],
+    bounds: Sequence[float],
+    errors: Float[Array, "K N"],
+) -> None:
+    """Draw σ of wet floors, and errors of r beside their bound."""
+    with plots.style():
+        _, axes = plt.subplots(1, 2, figsize=(7.2, 3.1))
+    axes[0].plot(slips, far, "o-", color=plots.BLUE)
+    axes[0].set(xlabel="commands that go astray", ylabel="distance σ")
+    axes[0].set_ylim(0)
+    axes[1].plot(slips, bounds, color=plots.GREY, label="bound, 1/σ")
+    axes[1].plot(slips, errors, ".", color=plots.ORANGE)
+    axes[1].plot([], [], ".", color=plots.ORANGE, label="five draws")
+    axes[1].set(xlabel="commands that go astray", yscale="log")
+    axes[1].set_ylabel("error of r / error of α log π")
+    axes[1].legend()
+    plt.show()
+
+
+def coverage(kept: Mapping[str, Array]) -> None:
+    """Draw the score in the third maze by the steps seen."""
+    with plots.style():
+        _, axes = plt.subplots(1, 2, figsize=(7.4, 3.6), sharey=True)
+    panels = (
+        ("careful", "one start", "a careful expert, one start"),
+        ("sloppy", "everywhere", "a sloppy one, starts everywhere"),
+    )
+    lines = (
+        ("dry", "r(s, a)", plots.ORANGE, "-", "dry floor, r(s, a)"),
+        ("dry and wet", "r(s, a)", plots.BLUE, "-", "dry and wet, r(s, a)"),
+        ("dry", "r(s)", plots.ORANGE, "--", "dry floor, r(s)"),
+        ("dry and wet", "r(s)", plots.BLUE, "--", "dry and wet, r(s)"),
+    )
+    for ax, (expert, start, title) in zip(axes, panels, strict=True):
+        for worlds, reward, color, style, label in lines:
+            key = ", ".join((expert, start, worlds, reward))
+            values = 100 * kept[key][..., 0]
+            middle = np.median(values, 1)
+            ends = values.min(1), values.max(1)
+            ax.fill_between(kept["steps"], *ends, color=color, alpha=0.15)
+            ax.plot(kept["steps"], middle, style, color=color, label=label)
+        ax.set(
+            xscale="log", xlabel="steps seen", title=title, ylim=(-30, 110)
+        )
+    axes[0].set_ylabel("return in the third maze (%)")
+    axes[1].legend(loc="center right", fontsize="x-small")
+    plt.show()
+
+
+def game(histories: Mapping[str, Sequence[float]]) -> None:
+    """Draw how the adversarial game finds the reward."""
+    with plots.style():
+        _, ax = plt.subplots(figsize=(6.4, 2.9))
+    colors = (plots.ORANGE, plots.BLUE)
+    for (name, values), color in zip(
+        histories.items(), colors, strict=True
+    ):
+        ax.plot(range(1, len(values) + 1), values, color=color, label=name)
+    ax.set(xlabel="rounds", ylabel="correlation with\nthe true reward")
+    ax.set_ylim(0, 1.03)
+    ax.legend(loc="lower right")
+    plt.show()
