@@ -43,7 +43,6 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         ({"reward_sees": (-1, 2)}, r"reward_sees is \(-1, 2\); expected a tuple"),
         ({"reward_sees": (1,), "ablation": "spectral-norm"}, "for plain networks"),
         ({"reward_sees": (1,), "ablation": "bottleneck"}, "plain networks"),
-        ({"reward_sees": (1,), "absorbing": "bootstrap"}, "without the absorbing state"),
         ({"ablation": "bottleneck", "bottleneck": 0.0}, "bottleneck is 0.0"),
         ({"bottleneck": 0.5}, "bottleneck has no use with learner='sac'"),
         (PPO | {"ablation": "bottleneck", "reward": "gan-gcl"}, "other than gan-gcl"),
@@ -98,7 +97,10 @@ PPO = {"learner": "ppo", "update_every": 100, "temperature": 0.2}
         ({"reward": "iq-learn", "ablation": "one-sided"}, "ablation has no use with .*'iq-learn'"),
         ({"reward": "iq-learn", "reward_scale": 2.0}, "reward_scale is 2.0 and .* pays no reward"),
         ({"reward": "iq-learn", "centre_reward": True}, "centre_reward True, and iq-learn pays no"),
-        ({"temprature": 1.0}, "no setting 'temprature'; there are: .*temperature"),
+        (
+            {"temprature": 1.0},
+            "no setting 'temprature'; did you mean temperature.*; there are: .*temperature",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(change, message):
@@ -227,6 +229,7 @@ def test_differences_are_the_settings_that_differ_with_both_values():
     assert differences(CORRECTED, changed) == {
         "hidden": ((400, 300), (8,)),
         "discount": (0.99, 0.5),
+        "discriminator_discount": (0.99, 0.5),
     }
     frozen = differences(CORRECTED, CORRECTED.change(reward="frozen"))
     assert frozen["reward"] == ("implementation-4", "frozen")
