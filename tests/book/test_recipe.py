@@ -140,7 +140,7 @@ def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
     (first,) = [command for command in commands() if command.endswith("--out runs/arm")]
     for options in inline:
         added = parsed(f"offairl run {options}")[2]
-        known = SETTINGS | GIVEN | {"scale"}
+        known = SETTINGS | GIVEN | {"scale", "step"}
         assert added.keys() <= known, options
         if all(added.values()) and added.keys() <= SETTINGS - {"pretrained"}:
             _, (experiment,), there = parsed(first)

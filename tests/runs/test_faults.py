@@ -14,7 +14,7 @@ from run_folders import create
 
 from offairl_lite import AIRL
 from offairl_lite.core.results import Run
-from offairl_lite.runs import export, folders, pictures, records, tensorboard
+from offairl_lite.runs import checkpoints, export, folders, pictures, records, tensorboard
 
 PLACES = [
     *((os, name) for name in ("replace", "rename", "unlink", "rmdir", "truncate", "mkdir")),
@@ -181,11 +181,11 @@ def test_a_copy_that_fails_anywhere_leaves_the_old_one_or_is_the_new_one(
     folders.work(longer, progress=False)
     after = state(longer)
     for k, here in copies(finished, tmp_path):
-        failed = faults(k, lambda here=here: folders.copy(longer, here))
+        failed = faults(k, lambda here=here: checkpoints.copy(longer, here))
         found = state(here)
         same(found, after if found.rows[-1].step == 60 else before)
         same(state(longer), after)
-        folders.copy(longer, here)
+        checkpoints.copy(longer, here)
         same(state(here), after)
         shutil.rmtree(here)
         if not failed:
