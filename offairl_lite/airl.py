@@ -24,7 +24,7 @@ from offairl_lite.core.acceleration import choose_execution
 from offairl_lite.core.results import Run
 from offairl_lite.core.rollouts import action as act
 from offairl_lite.experiments import find
-from offairl_lite.runs import folders, inputs, preflight, records
+from offairl_lite.runs import checkpoints, folders, inputs, preflight, records
 from offairl_lite.runs.export import InUnits
 from offairl_lite.runs.launch import CHECKPOINT_EVERY, Given
 
@@ -185,7 +185,7 @@ class AIRL:
     def save(self, path: Path_) -> None:
         """Copy the run, and all that it takes to go on, to a folder; a run there is replaced."""
         if self.run.seeds:  # It says so if nothing is learned yet.
-            folders.copy(self.folder, Path(path))
+            checkpoints.copy(self.folder, Path(path))
 
     @classmethod
     def load(cls, path: Path_, env: Task | None = None, *, folder: Path_ | None = None) -> "AIRL":
@@ -203,7 +203,7 @@ class AIRL:
         self = cls.__new__(cls)
         self.seeds, self.config, self.given, self.inherited = spec.seeds, spec.config, Given(), {}
         self._place(folder)
-        folders.copy(Path(path), self.folder)
+        checkpoints.copy(Path(path), self.folder)
         self.demonstrations = inputs.demonstrations_of(self.folder, spec)
         return self
 

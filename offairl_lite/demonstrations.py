@@ -301,7 +301,7 @@ def generate(
     checked("trajectories", trajectories, Count)
     minari_storage.require_new(dataset_id)
     recordings = record(policy, env_id, trajectories, members)
-    mean = float(np.mean([np.asarray(one.reward).sum() for one in recordings]))
+    mean = float(np.mean([np.sum(np.asarray(one.reward)) for one in recordings]))
     if at_least is not None and mean < at_least:
         raise ValueError(
             f"the episodes return {mean:.4g} on average, and at_least is {at_least:.4g}: whoever "

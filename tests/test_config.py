@@ -103,7 +103,10 @@ PPO = {"learner": "ppo", "train_every": 100, "temperature": 0.2}
         ({"reward": "iq-learn", "ablation": "one-sided"}, "ablation has no use with .*'iq-learn'"),
         ({"reward": "iq-learn", "reward_scale": 2.0}, "reward_scale is 2.0 and .* pays no reward"),
         ({"reward": "iq-learn", "centre_reward": True}, "centre_reward True, and iq-learn pays no"),
-        ({"temprature": 1.0}, "no setting 'temprature'; there are: .*temperature"),
+        (
+            {"temprature": 1.0},
+            "no setting 'temprature'; did you mean temperature.*; there are: .*temperature",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(change, message):
@@ -248,6 +251,7 @@ def test_differences_are_the_settings_that_differ_with_both_values():
     assert differences(CORRECTED, changed) == {
         "hidden": ((400, 300), (8,)),
         "discount": (0.99, 0.5),
+        "discriminator_discount": (0.99, 0.5),
     }
     frozen = differences(CORRECTED, CORRECTED.change(reward="frozen"))
     assert frozen["reward"] == ("r-s", "frozen")

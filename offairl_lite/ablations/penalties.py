@@ -16,7 +16,7 @@ from offairl_lite.core.discriminator import (
     make_discriminator,
 )
 from offairl_lite.core.networks import TINY, StackedMLP, zeros
-from offairl_lite.core.rewards import log_odds
+from offairl_lite.core.rewards import Reward, log_odds
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Layout, Metrics, OtherParams, Params, Vector
 
@@ -124,9 +124,9 @@ class SpectralNorm(Discriminator):
         self.state |= zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
 
     @torch.no_grad()
-    def init(self, rng: Rng) -> None:
+    def init(self, rng: Rng, reward: Reward | None = None) -> None:
         """Draw the initial weights, and vectors for the power iteration."""
-        super().init(rng)
+        super().init(rng, reward)
         for vectors, net in zip(self.vectors, self.networks(), strict=True):
             vectors.copy_(init_vectors(net, rng))
 

@@ -160,12 +160,14 @@ class Discriminator:
             self.mask = self.reward_net.mask(visible).to(layout.device)
 
     @torch.no_grad()
-    def init(self, rng: Rng) -> None:
-        """Draw the initial weights, in place."""
+    def init(self, rng: Rng, reward: Reward | None = None) -> None:
+        """Draw the initial weights, in place, or take those of r from an earlier reward."""
         for params, net in zip(
             (self.reward_params, self.value_params), self.networks(), strict=True
         ):
             params.copy_(net.init(rng))
+        if reward is not None:
+            self.reward_params.copy_(reward.params)
 
     @property
     def weights(self) -> tuple[OtherParams, OtherParams]:

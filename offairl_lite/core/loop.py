@@ -17,7 +17,7 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite import envs
-from offairl_lite.config import Config, DiscriminatorConfig, Schedule
+from offairl_lite.config import Config, DiscriminatorConfig
 from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
@@ -27,24 +27,22 @@ from offairl_lite.core.experience import Experience
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.replay import Batch, Replay
+from offairl_lite.core.replay import Batch, make_replay
 from offairl_lite.core.requirements import (
     episode_length,
-    require_fit,
     require_inputs,
-    require_pretrained_reward,
+    require_match,
 )
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.scaling import scaling_of
 from offairl_lite.core.shapes import Layout, Metrics
-from offairl_lite.demonstrations import Demonstrations, require_demonstrations
-from offairl_lite.envs import BatchedEnv, SerialEnv
+from offairl_lite.demonstrations import Demonstrations
 
 
 class Stop(Exception):
-    """Raised by a callback: the run ends early, with what is there."""
+    """Raised by a callback: the run ends here, with what is there."""
 
 
 class Trainer:
@@ -52,9 +50,8 @@ class Trainer:
 
     The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
     goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `guide_steps`; a learned reward may begin with a
-    `pretrained_reward`, in its scaling. Transitions are kept in `replay_file`, if
-    not in memory alone, which can be rewound by `memory` steps, to a checkpoint.
+    acts at the starts of episodes, with `guide_steps`; what is learned may begin with an earlier
+    reward. Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -74,7 +71,6 @@ class Trainer:
         replay_file: Path | None = None,
         memory: int = 0,
     ) -> None:
-        self.pretrained_reward = pretrained_reward
         self.seeds: tuple[int, ...] = checked(
             "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
         )
@@ -83,39 +79,16 @@ class Trainer:
         self.device, population = torch.device(execution.device), len(self.seeds)
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
-        try:
-            self._prepare(
-                env, demonstrations, frozen_reward, pretrained_policy, guide, replay_file, memory
-            )
-        except BaseException:
-            env.close()
-            raise
-
-    def _prepare(
-        self,
-        env: BatchedEnv | SerialEnv,
-        demonstrations: Demonstrations | None,
-        frozen_reward: Reward | None,
-        pretrained_policy: Policy | None,
-        guide: Policy | None,
-        replay_file: Path | None,
-        memory: int,
-    ) -> None:
-        """Make all else, for a task that is open."""
-        config, execution, population = self.config, self.execution, len(self.seeds)
-        self.dims = require_fit(config, env, frozen_reward, pretrained_policy, guide)
-        if (reward := self.pretrained_reward) is not None:
-            require_pretrained_reward(config, self.seeds, reward, pretrained_policy, self.dims[0])
+        earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
+        self.dims = require_match(config, self.seeds, env, *earlier)
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
         self.demonstrations: Batch | None = None
         if demonstrations is not None:
-            require_demonstrations(demonstrations, env)
             batch = demonstrations.transitions
             if self.schedule.absorbing != "none":
                 batch = absorbing.with_absorbing_states(batch)
             self.demonstrations = Batch(*(part.to(self.device) for part in batch))
-
         self.rng = Rng(self.seeds, self.device)
         self.normaliser = Normaliser.identity(population, self.dims[0], self.device)
         # Weights are zeros until the end of the warm-up, when `start` draws them.
@@ -135,7 +108,7 @@ class Trainer:
         self.collector = Collector(
             config, env, replay, self.rng, self.members, guide and guide.to(self.device)
         )
-        self.started = False
+        self.kept_reward, self.started = pretrained_reward, False
         # Lengths of the blocks of steps not yet trained on. Those of the warm-up wait for its end.
         self.blocks_due: list[int] = []
         self.block_start, self.evaluated = 0, 0
@@ -192,17 +165,14 @@ class Trainer:
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
         policy, replay = self.pretrained_policy, self.collector.replay
-        kept = self.pretrained_reward if policy is None else policy
-        scaling = scaling_of(self.config, replay, self.demonstrations, kept)
+        scaling = scaling_of(self.config, replay, self.demonstrations, policy or self.kept_reward)
         for part, fixed in zip(self.normaliser, scaling, strict=True):
             part.copy_(fixed)
         self.learner.init(self.rng)
         if policy is not None:
             adopt(self.learner, policy, self.config.pretrained == "primitives")
         if self.discriminator is not None:
-            self.discriminator.init(self.rng)
-            if self.pretrained_reward is not None:
-                self.discriminator.reward_params.detach().copy_(self.pretrained_reward.params)
+            self.discriminator.init(self.rng, self.kept_reward)
         if self.config.learner.on_policy:
             # It learns from its own actions alone.
             self.blocks_due.clear()
@@ -327,22 +297,6 @@ class Trainer:
         self.collector.env.close()
 
 
-def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
-    """Return an empty replay that can be rewound by `memory` steps."""
-    slots = replay_slots(schedule, memory)
-    dims = layout.obs_dim, layout.action_dim
-    return Replay(
-        layout.members, schedule.replay_size, *dims, layout.device, file=file, slots=slots
-    )
-
-
-def replay_slots(schedule: Schedule, memory: int) -> int:
-    """Return the rows to allocate for a member: `replay_size` and room to rewind."""
-    # A terminated episode may add a row of the absorbing state.
-    rows = 1 if schedule.absorbing == "none" else 2
-    return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)
-
-
 def complete(
     trainer: Trainer,
     progress: bool = True,
@@ -365,9 +319,8 @@ def complete(
                 on_advance(rows)
             except Stop:
                 break
-            except StopIteration as error:  # Once this ended a run, and hid a mistake.
-                why = "a callback has raised StopIteration: to end a run early, raise loop.Stop"
-                raise RuntimeError(why) from error
+            except StopIteration as error:  # Once this ended a run, and hid mistakes.
+                raise RuntimeError("StopIteration: to end a run early, raise loop.Stop") from error
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         start, end = trainer.schedule.learning_starts, trainer.steps
@@ -394,8 +347,8 @@ def train(
     """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
 
     `on_evaluation` is called after each evaluation with a row for each member, for logging; to end
-    early with what is there, it raises `Stop`. `progress` shows a bar. The number of PyTorch's
-    threads is that of `execution` until the end, and then what it was.
+    early with what is there, it raises `Stop`. `progress` shows a bar. PyTorch's threads are those
+    of `execution` until the end.
     """
 
     def on_advance(rows: list[Row]) -> None:

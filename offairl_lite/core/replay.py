@@ -11,7 +11,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from offairl_lite.config import Schedule
 from offairl_lite.core.rng import Rng
+from offairl_lite.core.shapes import Layout
 
 
 class Batch(NamedTuple):
@@ -161,3 +163,19 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
             for start in range(0, missing, 2**24):
                 stream.write(bytes(min(2**24, missing - start)))
     return np.memmap(file, np.float32, "r+", shape=shape)
+
+
+def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
+    """Return an empty replay that can be rewound by `memory` steps."""
+    slots = replay_slots(schedule, memory)
+    dims = layout.obs_dim, layout.action_dim
+    return Replay(
+        layout.members, schedule.replay_size, *dims, layout.device, file=file, slots=slots
+    )
+
+
+def replay_slots(schedule: Schedule, memory: int) -> int:
+    """Return the rows to allocate for a member: `replay_size` and room to rewind."""
+    # A terminated episode may add a row of the absorbing state.
+    rows = 1 if schedule.absorbing == "none" else 2
+    return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)

@@ -9,7 +9,7 @@ from offairl_lite.config import Config, DiscriminatorConfig
 from offairl_lite.core.networks import Population
 from offairl_lite.core.policies import Policy, make_actor
 from offairl_lite.core.rewards import IMPLEMENTATIONS, Reward
-from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
 
@@ -92,6 +92,32 @@ def require_fit(
             f"{guide.actor.action_dim}; this run has {obs_dim} and {action_dim}"
         )
     return obs_dim, action_dim
+
+
+def require_match(
+    config: Config,
+    seeds: Sequence[int],
+    env: BatchedEnv | SerialEnv,
+    demonstrations: Demonstrations | None,
+    frozen_reward: Reward | None,
+    policy: Policy | None,
+    reward: Reward | None,
+    guide: Policy | None,
+) -> tuple[int, int]:
+    """Return O and A as networks see them; close the task and raise ValueError if they do not fit.
+
+    `policy` and `reward` are what a run begins with.
+    """
+    try:
+        dims = require_fit(config, env, frozen_reward, policy, guide)
+        if reward is not None:
+            require_pretrained_reward(config, seeds, reward, policy, dims[0])
+        if demonstrations is not None:
+            require_demonstrations(demonstrations, env)
+    except ValueError:
+        env.close()
+        raise
+    return dims
 
 
 def require_pretrained_reward(

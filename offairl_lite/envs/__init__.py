@@ -127,7 +127,7 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
             if isinstance(space, Dict):
                 keys = ", ".join(map(str, space))
                 cure = f"FlattenObservation puts its parts one after another: {keys}"
-            if isinstance(space, Discrete):
+            if isinstance(space, Discrete) and name == "action":
                 cure = "offairl_lite.envs.OneHotActions chooses the action whose number is largest"
             raise ValueError(
                 f"{env_id}: the {name} space {space} is not supported; observations and actions "

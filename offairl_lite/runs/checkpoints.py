@@ -11,8 +11,9 @@ import os
 import shutil
 import zlib
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,10 @@ from torch import Tensor
 from offairl_lite import envs
 from offairl_lite.config import Config, DiscriminatorConfig, flat_settings
 from offairl_lite.core.collector import part_of
-from offairl_lite.core.loop import Trainer, replay_slots
+from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import StackedMLP, load_weights, save_weights
 from offairl_lite.core.policies import make_actor
-from offairl_lite.core.replay import Replay
+from offairl_lite.core.replay import Replay, replay_slots
 from offairl_lite.runs import records
 from offairl_lite.runs.inputs import digest
 from offairl_lite.runs.records import RunSpec, damaged
@@ -211,6 +212,31 @@ def require_room(place: Path, space: int) -> None:
 def in_words(size: int) -> str:
     """Return a number of bytes, such as `12.0 MB`."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a run folder, whole or not at all; a run that is at `target` is replaced.
+
+    FileExistsError says that something else is there; OSError that the run is at work.
+    """
+    RunSpec.read(source)
+    source, target = source.resolve(), target.resolve()
+    there = records.beginning(target) == target and any(target.iterdir())
+    if there and not (target / "config.json").is_file():
+        raise FileExistsError(f"{target} is not empty, and no run: choose another place")
+    if source == target:
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as hidden:
+        new, old = Path(hidden) / "new", Path(hidden) / "old"
+        with lock(source):
+            shutil.copytree(source, new, ignore=shutil.ignore_patterns("lock", ".*"))
+        with ExitStack() as undo:
+            if target.exists():
+                os.replace(target, old)
+                undo.callback(os.replace, old, target)
+            os.replace(new, target)
+            undo.pop_all()
 
 
 @contextmanager

@@ -275,31 +275,6 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
             spec.write(path)
 
 
-def copy(source: Path, target: Path) -> None:
-    """Copy a run folder, whole or not at all; a run that is at `target` is replaced.
-
-    FileExistsError says that something else is there; OSError that the run is at work.
-    """
-    RunSpec.read(source)
-    source, target = source.resolve(), target.resolve()
-    there = records.beginning(target) == target and any(target.iterdir())
-    if there and not (target / "config.json").is_file():
-        raise FileExistsError(f"{target} is not empty, and no run: choose another place")
-    if source == target:
-        return
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as hidden:
-        new, old = Path(hidden) / "new", Path(hidden) / "old"
-        with checkpoints.lock(source):
-            shutil.copytree(source, new, ignore=shutil.ignore_patterns("lock", ".*"))
-        with ExitStack() as undo:
-            if target.exists():
-                os.replace(target, old)
-                undo.callback(os.replace, old, target)
-            os.replace(new, target)
-            undo.pop_all()
-
-
 def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[int]) -> None:
     """Raise ValueError unless a run can have further members of these seeds."""
     there = records.read(folder).seeds  # It refuses several configurations.

@@ -147,12 +147,7 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
             envs.spec(config.env_id)  # It imports a module that is named.
         frozen = any(config.reward == "frozen" for config in configs.values())
         if frozen and own.reward_from and not given.frozen_reward:
-            other, _, variant = own.reward_from.partition("/")
-            first = f"{other}{f' --only {variant}' if variant else ''} --scale {scale}"
-            raise ValueError(
-                f"{name} is paid by the reward of another run: first `offairl run {first}`, then "
-                f"add --frozen-reward {Path('runs') / f'{other}-{scale}' / variant}"
-            )
+            raise ValueError(f"{name} is paid by {_reward_of(own.reward_from, scale)}")
         given.require_use(configs.values(), default)
         place = out or Path("runs") / f"{'sweep-' if grid else ''}{name}-{scale}"
         idle = 1 if prepare or engine == "ray" else jobs.cores()
@@ -169,6 +164,16 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         **options(own.configs[size]),
     }
     return run
+
+
+def _reward_of(run: str, scale: Scale) -> str:
+    """Return what to type to have the reward of another experiment, or of one of its runs."""
+    other, _, variant = run.partition("/")
+    first = f"{other}{f' --only {variant}' if variant else ''} --scale {scale}"
+    folder = Path("runs") / f"{other}-{scale}" / variant
+    return (
+        f"the reward of another run: first `offairl run {first}`, then add --frozen-reward {folder}"
+    )
 
 
 def _create(

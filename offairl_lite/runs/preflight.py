@@ -13,15 +13,10 @@ from gymnasium.spaces import Box
 
 from offairl_lite import envs
 from offairl_lite.config import Config, DiscriminatorConfig
-from offairl_lite.core.requirements import (
-    episode_length,
-    require_fit,
-    require_inputs,
-    require_pretrained_reward,
-)
+from offairl_lite.core.requirements import episode_length, require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
-from offairl_lite.demonstrations import Demonstrations, require_demonstrations
+from offairl_lite.demonstrations import Demonstrations
 
 
 def try_out(env_id: str, seed: int) -> list[str]:
@@ -56,16 +51,15 @@ def check(
     """
     seen, units = envs.spaces(config.env_id)
     ones = np.ones_like(units.low)
-    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=Box(-ones, ones))
-    reward = things.get("pretrained_reward")
+    env: Any = SimpleNamespace(
+        single_observation_space=seen, single_action_space=Box(-ones, ones), close=lambda: None
+    )
     given = {name: things.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")}
     require_inputs(config, seeds, shown, **given)
-    obs_dim, _ = require_fit(config, env, *given.values())
-    if reward is not None:
-        require_pretrained_reward(config, seeds, reward, given["pretrained_policy"], obs_dim)
+    frozen, policy, guide = given.values()
+    require_match(config, seeds, env, shown, frozen, policy, things.get("pretrained_reward"), guide)
     if shown is None:
         return []
-    require_demonstrations(shown, env)
     episode_length(config, shown)
     notes, ends = [], int(shown.transitions.terminated.sum())
     own = (shown.source or {"dataset": ""})["dataset"] is not None

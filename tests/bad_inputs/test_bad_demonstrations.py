@@ -264,7 +264,7 @@ ENDS = np.array([False, False, False, True])
         (put("rewards", 0.0), "cannot be read: ValueError"),
         (put("terminations", ENDS[1:]), "expected observations of shape (4, 2); found (5, 2)"),
         (put("truncations", ENDS[1:]), "expected truncations of shape (4,); found (3,)"),
-        (put("truncations", np.zeros(4, bool)), "expected one end...found ends at []"),
+        (put("truncations", np.zeros(4, bool)), "expected one end...found no end"),
         (put("truncations", ENDS[::-1]), "expected one end...found ends at [0]"),
         (put("terminations", ~ENDS), "expected one end...found ends at [0, 1, 2, 3]"),
         (put("terminations", ENDS.astype("S5")), "expected terminations that are numbers"),

@@ -181,7 +181,7 @@ def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
     (first,) = [command for command in commands() if command.endswith("--out runs/arm")]
     for options in inline:
         added = parsed(f"offairl run {options}")[2]
-        known = SETTINGS | GIVEN | {"scale"}
+        known = SETTINGS | GIVEN | {"scale", "step"}
         assert added.keys() <= known, options
         if all(added.values()) and added.keys() <= SETTINGS - {"pretrained"}:
             _, (experiment,), there = parsed(first)
@@ -205,7 +205,7 @@ def test_recordings_become_a_data_set(tmp_path, monkeypatch):
     for i in range(20):
         obs, action = np.tile([-1.0, 0, 0], (6, 1)), np.zeros((5, 1))
         np.savez(f"episode-{i}.npz", obs=obs, action=action, terminated=i == 0)
-    (block,) = [block for block in blocks("python") if "Recording" in block]
+    (block,) = [block for block in blocks("python") if "Recording(" in block]
     exec(block.replace("my_robot:Arm-v0", "Pendulum-v1"), {})
     data = demonstrations.load("Pendulum-v1", 20, "own/recorded-v0")
     assert data.lengths == (5,) * 20
@@ -237,8 +237,56 @@ def test_a_controller_demonstrates(minari_folder):
 def test_a_model_demonstrates(minari_folder, sb3, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sb3.SAC("MlpPolicy", "Pendulum-v1", device="cpu").save("expert.zip")
-    exec(block("SAC.load").replace("50", "2"), {})
+    exec(block('SAC.load("expert.zip")\ndem').replace("50", "2"), {})
     assert demonstrations.load("Pendulum-v1", 2, "own/model-v0").lengths == (200, 200)
+
+
+def test_a_model_with_scaled_observations_demonstrates(minari_folder, sb3, tmp_path, monkeypatch):
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    monkeypatch.chdir(tmp_path)
+    sb3.SAC("MlpPolicy", "Pendulum-v1", device="cpu").save("expert.zip")
+    VecNormalize(make_vec_env("Pendulum-v1")).save("vecnormalize.pkl")
+    code = block("vecnormalize.pkl").replace("50", "2")
+    with pytest.raises(ValueError, match="VecNormalize"):  # Nobody has trained it.
+        exec(code, {})
+    exec(code.replace("at_least=-300", "at_least=-4000"), {})
+    assert demonstrations.load("Pendulum-v1", 2, "own/scaled-v0").lengths == (200, 200)
+
+
+def test_flat_arrays_demonstrate(minari_folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    starts = np.arange(20) % 10 == 0
+    obs, actions = np.tile([-1.0, 0, 0], (20, 1)), np.zeros((20, 1))
+    np.savez("expert_arm.npz", obs=obs, actions=actions, episode_starts=starts)
+    exec(block("from_flat"), {})
+    assert demonstrations.load("Pendulum-v1", 2, "own/flat-v0").lengths == (9, 9)
+
+
+def test_discrete_actions_and_dictionaries():
+    try:
+        exec(block("OneHotActions"), names := {})
+        assert names["recorded"].shape == (4, 2)
+        assert gymnasium.make("BoxCartPole-v0").action_space.shape == (2,)
+    finally:
+        gymnasium.registry.pop("BoxCartPole-v0", None)
+    exec(block("achieved_goal"), names := {})
+    assert names["obs"].shape == (6, 9)
+
+
+def test_the_class_does_all_of_it(tmp_path, monkeypatch, capsys):
+    """Its lines, with fewer steps; actions out of bounds are refused, so the controller clips."""
+    from offairl_lite import AIRL
+
+    monkeypatch.chdir(tmp_path)
+    small = "hidden=(8,), reward_hidden=(8,), eval_episodes=1, trajectories=2, learning_starts=200"
+    code = block("AIRL").replace("100_000", "400").replace("50_000", "200")
+    code = code.replace("seeds=3", f"seeds=1, train_every=200, {small}")
+    exec(code, names := {})
+    assert names["action"].shape == (1,)
+    assert AIRL.load("arm").run.steps.max() == 400
+    assert float(capsys.readouterr().out.split()[0]) == names["model"].reward([0.0, 1.0, 0.0])
 
 
 def test_a_task_with_other_arguments_is_registered(write_dataset):
@@ -260,7 +308,7 @@ def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
     Otherwise they take fewer steps.
     """
     monkeypatch.chdir(ROOT)
-    code, whole = block("VecNormalize"), "SB3_TRAINS" in os.environ
+    code, whole = block("LearnedReward"), "SB3_TRAINS" in os.environ
     names = {}
     exec(code if whole else code.replace("000", "00"), names)
     env, model = names["env"], names["model"]

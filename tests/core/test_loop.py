@@ -11,7 +11,7 @@ from offairl_lite.ablations.released import RELEASE
 from offairl_lite.core import sac
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator
-from offairl_lite.core.loop import Trainer, complete, train
+from offairl_lite.core.loop import Stop, Trainer, complete, train
 from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.ppo import EPOCHS, PPO
 from offairl_lite.core.rng import Rng
@@ -105,7 +105,7 @@ def test_after_an_interruption_a_run_can_be_started_again(tiny, maze):
 def test_a_run_can_be_ended_early_with_what_is_there(tiny, maze):
     def enough(rows):
         assert rows[0].step == 100
-        raise StopIteration
+        raise Stop
 
     early, whole = train(tiny, [0, 1], maze, on_evaluation=enough), train(tiny, [0, 1], maze)
     assert early.rows == whole.rows[:2]

@@ -97,12 +97,12 @@ class Endless(gymnasium.Env):
         (
             np.nan,
             3,
-            r"Endless-v0 is at fault in step . of an episode: its observation\[0\] is nan",
+            r"Endless-v0, seed 4, is at fault in step . of an episode: its observation.0. is nan",
         ),
         (
             1e9,
             3,
-            r"Endless-v0 is at fault in step . of an episode: its observation\[0\] is 1e\+09",
+            r"Endless-v0, seed 4, is at fault in step . of an episode: its observation.0. is 1e",
         ),
     ],
 )

@@ -159,15 +159,15 @@ def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
         ),
         (
             {"actions": gymnasium.spaces.Box(-np.inf, np.inf, (2,))},
-            r"the action space Box\(-inf.* must be a Box of floats with finite bounds, low < high",
+            r"the action space Box\(-inf.* has no bounds.*TransformAction",
         ),
         (
             {"actions": gymnasium.spaces.Box(-2, 2, (2,), np.int32)},
-            r"int32\) must be a Box of floats with finite bounds, .* round in the task's own step",
+            r"int32\) must be a Box of floats: round in the task's own step",
         ),
         (
             {"actions": gymnasium.spaces.Box(np.float32([0, 1]), np.float32([1, 1]))},
-            r"a Box of floats with finite bounds, low < high: .* leave out what cannot be chosen",
+            r"must have low < high: leave out what cannot be chosen",
         ),
         (
             {"observations": gymnasium.spaces.Dict(x=gymnasium.spaces.Discrete(2))},

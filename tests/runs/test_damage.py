@@ -280,7 +280,8 @@ def test_nothing_is_lost_once_the_task_is_mended(
     trouble, kind, words, at, step, troubled, folder, monkeypatch
 ):
     words = words.replace("e+08", r"e\+08").replace("e+09", r"e\+09")
-    words = words if kind is TaskError else f"Troubled-v0 is at fault in step {step}: {words}"
+    if kind is not TaskError:
+        words = rf"Troubled-v0, seed \d+, is at fault in step {step}: {words}"
     monkeypatch.setattr(Troubled, "at", at)
     monkeypatch.setattr(Troubled, "trouble", trouble)
     with pytest.raises(kind, match=words) as found:
@@ -299,7 +300,9 @@ def test_nothing_is_lost_once_the_task_is_mended(
 def test_an_evaluation_notices_trouble_too(trouble, troubled, folder, monkeypatch):
     monkeypatch.setattr(Troubled, "at", 105)
     monkeypatch.setattr(Troubled, "trouble", trouble)
-    with pytest.raises(ValueError, match=r"Troubled-v0 is at fault in step . of an episode: its"):
+    with pytest.raises(
+        ValueError, match=r"Troubled-v0, seed \d+, is at fault in step . of an episode: its"
+    ):
         folders.work(folder, progress=False)
     monkeypatch.setattr(Troubled, "trouble", None)
     folders.work(folder, progress=False)

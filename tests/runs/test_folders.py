@@ -922,9 +922,17 @@ def test_the_disk_a_run_takes_is_known(case, tiny, folder, given):
     used = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     # While it is written, a second checkpoint is there.
     used += (folder / "checkpoint" / "checkpoint.safetensors").stat().st_size
-    foreseen = checkpoints.disk_space(records.RunSpec.read(folder))
+    foreseen = checkpoints.disk_space(spec := records.RunSpec.read(folder))
     replay = (folder / "checkpoint" / "replay.f32").stat().st_size
-    assert used < foreseen == replay + len(SEEDS) * checkpoints.MARGIN
+    margin = len(SEEDS) * checkpoints.MARGIN
+    # The policy and the reward of every evaluation are there, and no more than was foreseen.
+    kept = sum(path.stat().st_size for path in (folder / "evaluations").iterdir())
+    evaluated = len({row.step for row in records.read(folder).rows})
+    assert len(list((folder / "evaluations").glob("policy-*"))) == evaluated
+    foretold = foreseen - replay - margin
+    assert kept - 2048 * 2 * evaluated < foretold < 3 * kept
+    assert used < foreseen
+    assert evaluated <= checkpoints.evaluations(spec)
 
 
 # Divergence.
@@ -1040,7 +1048,8 @@ def test_verifying_needs_what_the_run_had(plain, tiny, folder, random_demonstrat
 
 def test_a_record_finds_what_it_had_of_other_runs_where_it_was(plain, folder, tmp_path):
     config = plain.change(reward="frozen", pretrained="policy", guide_steps=20)
-    sources = {name: (tmp_path / name,) for name in inputs.CURES}
+    names = "frozen_reward", "pretrained_policy", "guide"
+    sources = {name: (tmp_path / name,) for name in names}
     frozen_reward(2).save(*sources["frozen_reward"])
     policy(plain).save(*sources["pretrained_policy"])
     policy(plain).member(1).save(*sources["guide"])  # One for both.

@@ -279,7 +279,9 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
     assert given["reward=dac"]["spec"].demonstrations["trajectories"] == 2
     assert given["reward=dac"]["spec"].demonstrations["subsample"] == 20
     assert given["reward=environment"]["spec"].demonstrations is None
-    with pytest.raises(ValueError, match=r"first `offairl run maze-imitation`, then add --frozen-"):
+    with pytest.raises(
+        ValueError, match=r"first `offairl run maze-imitation --scale demo`, then add --frozen-"
+    ):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()
 
