@@ -134,8 +134,8 @@ def coverage(kept: Mapping[str, Array]) -> None:
             key = ", ".join((expert, start, worlds, reward))
             values = 100 * kept[key][..., 0]
             middle = np.median(values, 1)
-            ends = values.min(1), values.max(1)
-            ax.fill_between(kept["steps"], *ends, color=color, alpha=0.15)
+            thin = {"color": color, "alpha": 0.3, "lw": 0.7}
+            ax.plot(kept["steps"], values, style, **thin)
             ax.plot(kept["steps"], middle, style, color=color, label=label)
         ax.set(
             xscale="log", xlabel="steps seen", title=title, ylim=(-30, 110)
