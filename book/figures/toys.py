@@ -9,6 +9,7 @@ import base64
 import html
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from IPython.display import HTML
@@ -16,47 +17,81 @@ from IPython.display import HTML
 from offairl_lite.tabular import MDP, MOVES, Trajectories
 
 FOLDER = Path(__file__).parents[1] / "_static/toys"
-TOYS: dict[str, tuple[list[str], str]] = {
-    "walls": (
+
+
+class Toy(NamedTuple):
+    """What a page says of a toy, and what it needs."""
+
+    needs: list[str]
+    """Other programs, which come before its own."""
+    lead: str
+    """The sentence above it."""
+    still: str
+    """What its still shows, for those who do not see it."""
+
+
+TOYS = {
+    "walls": Toy(
         ["mazes"],
+        "Drag the wall. The blue agent copied the expert's moves; the "
+        "yellow one learned what the expert wanted.",
         "A maze with a wall across it. Two agents start at the bottom: one "
         "copied the expert's moves and stands before the wall, the other "
         "plans with the learned reward and goes round it to the star.",
     ),
-    "rewards": (
+    "rewards": Toy(
         ["mazes"],
+        "Pull the steps across the cliff: moves below the old gap "
+        "turn green. Then add a shaping: the map becomes noise, and "
+        "the arrows on the left stay.",
         "Two mazes coloured by a reward of the move. In the first its "
         "policy goes round the wall; when the wall has moved, into it. "
         "Below, its score falls from near 100 % to 0 after about a hundred "
         "steps of the optimiser; that of a reward of the place does not.",
     ),
-    "corridor": (
+    "corridor": Toy(
         [],
+        "Guess first: which of the three rewards imitates both "
+        "experts? Then play. You can also turn the expert's arrows.",
         "Seven rooms and a door on the right. Above, the expert walks out. "
         "Below, its imitator is paid for every step, and stays in front of "
         "the door.",
     ),
-    "products": (
+    "game": Toy(
+        ["mazes"],
+        "Play the game in rounds: with small steps it settles, with large "
+        "ones it swings. Then give label 1 to the policy: it flees from "
+        "the expert, although it begins next to it.",
+        "A maze with the visits and the arrows of a policy, the same maze "
+        "with the error of the reward, and below both errors as they fall "
+        "from round to round.",
+    ),
+    "products": Toy(
         [],
+        "Drag the two policies, their widths and the gate's weights.",
         "Two Gaussian policies over two actions, drawn as ellipses, one "
         "narrow and high, one flat and wide. Multiplied, they leave a "
         "round spot where the ellipses cross; added, a cross.",
     ),
-    "life": (
+    "life": Toy(
         ["mazes"],
+        "Drag the point over the map, and see what becomes of the "
+        "agent. Then let the end pay the constant too.",
         "An agent between a cliff and a goal, and below it a map over the "
         "discount and a constant. Where the constant is high the best "
         "policy never ends, where it is low it falls, and in between it "
         "walks to the goal.",
     ),
-    "drawn_maze": (
+    "drawn_maze": Toy(
         ["mazes", "tables"],
+        "Rewards of five recorded seeds, at the paper's size. Drag "
+        "the wall or the start: the agent plans again, here on "
+        "squares instead of with physics.",
         "The maze after the wall has moved, coloured by a reward learned "
         "before, which is highest at the star. The planned way leads "
         "through the new gap to the star.",
     ),
 }
-"""For each toy the programs that it needs, and what its still shows."""
 
 
 def page(name: str) -> str:
@@ -71,25 +106,26 @@ def page(name: str) -> str:
         raise ValueError(
             f"there is no toy {name!r}; choose one of {', '.join(TOYS)}"
         )
-    needs, alternative = TOYS[name]
+    toy = TOYS[name]
     script = "\n".join(
         (FOLDER / f"{part}.js").read_text("utf-8")
-        for part in ("toys", *needs, name)
+        for part in ("toys", *toy.needs, name)
     )
     style = (FOLDER / "toys.css").read_text("utf-8")
     still = base64.b64encode((FOLDER / f"{name}.png").read_bytes()).decode()
     return (
         f"<style>\n{style}</style>\n"
         f'<div class="toy" data-toy="{name}">'
-        f'<img class="toy-still" alt="{html.escape(alternative)}" '
+        f'<img class="toy-still" alt="{html.escape(toy.still)}" '
         f'src="data:image/png;base64,{still}"></div>\n'
         f"<script>\n{script}\nwindow.toys.start();\n</script>"
     )
 
 
 def show(name: str) -> HTML:
-    """Display a toy, such as `"walls"`."""
-    return HTML(page(name))
+    """Display a toy, such as `"walls"`, below what to do with it."""
+    content = page(name)
+    return HTML(f"<p>{html.escape(TOYS[name].lead)}</p>\n{content}")
 
 
 def drawn(path: str | Path, length: int = 400) -> Trajectories:

@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter
+from scipy.special import log_softmax
 from scipy.stats import norm
 from test_browser import BROWSERS, FLAGS, LOCAL, MAC, shutil, sync_api
 
@@ -264,9 +266,9 @@ def test_a_toy_that_does_not_exist_is_named():
         toys.show("wals")
 
 
-def cells(page, *ids):
-    """Run cells of a chapter; return the names that they make."""
-    names = {"np": np, "tabular": tabular}
+def cells(page, *ids, **names):
+    """Run cells of a chapter that use these names; return those that they make, too."""
+    names |= {"np": np, "tabular": tabular}
     for cell in nbformat.read(BOOK / page, as_version=4).cells:
         if cell.id in ids:
             exec(cell.source, names)
@@ -326,6 +328,22 @@ def test_the_corridor_is_that_of_chapter_2(compute, who):
         assert end["gone"] == pytest.approx(chapter["gone"](policy), abs=1e-6)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_game_is_that_of_chapter_3(compute, sign):
+    chapter = {"cells": 12, "replace": replace, "occupancy": occupancy, "log_softmax": log_softmax}
+    chapter |= {"soft_value_iteration": soft_value_iteration}
+    chapter = cells("03_airl_discriminator.ipynb", "3830ed9b", "90456e37", **chapter)
+    story = compute(f"""const {{expert, compare, round}} = toys.game, theirs = expert();
+      let policy = new Float64Array(720).fill(0.2);
+      return [...Array(9)].map(() => {{
+        const {{distance, error}} = compare(theirs, policy);
+        policy = round(theirs, policy, 0.2, {sign});
+        return [distance, error];
+      }});""")
+    history, _ = chapter["play"](np.log(chapter["uniform"]), 0.2, 9, sign)
+    np.testing.assert_allclose(story, history, rtol=1e-5)
+
+
 def test_products_are_the_packages(compute):
     rng = np.random.default_rng(0)
     mean, std = rng.normal(size=(2, 2)), rng.uniform(0.1, 1, (2, 2))
@@ -364,7 +382,7 @@ def test_the_rewards_of_the_maze_are_the_recorded_ones_and_plans_are_the_package
 
 
 def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
-    view = opened("rewards", "corridor", "products", "life", "drawn_maze")
+    view = opened("rewards", "corridor", "products", "life", "drawn_maze", "game")
     state = "toys.all[{}].state()"
     canvas = view.locator(".toy canvas")
 
@@ -425,3 +443,9 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     drag(view, *at)
     assert view.evaluate(state.format(4))["start"] == 25 + 28 * 12
     assert "arrives" in says.inner_text()
+
+    view.locator(".toy").nth(5).get_by_role("button", name="One round").click()
+    says = view.locator(".toy-says").nth(5)
+    assert "Round 1." in says.inner_text()
+    view.evaluate("toys.all[5].finish()")
+    assert re.search(r"Round 60\. Distance of the visits: \de−[3-9]", says.inner_text())
