@@ -57,7 +57,7 @@ def opening(
     """Draw the expert, and what learned rewards lead to in a new maze."""
     size = 1 + len(rewards)
     with plots.style():
-        _, axes = plt.subplots(1, size, figsize=(7.4, 7.4 / size + 0.4))
+        _, axes = plt.subplots(1, size, figsize=(5.6, 5.6 / size + 0.4))
     expert = soft_value_iteration(shown, truth, ALPHA).policy
     draw_world(axes[0], shown, truth, plots.GREEN, expert)
     axes[0].set_title("the expert's maze")
@@ -102,7 +102,7 @@ def distances(
 ) -> None:
     """Draw σ of wet floors, and errors of r beside their bound."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(7.2, 3.1))
+        _, axes = plt.subplots(1, 2, figsize=(6.2, 2.9))
     axes[0].plot(slips, far, "o-", color=plots.BLUE)
     axes[0].set(xlabel="commands that go astray", ylabel="distance σ")
     axes[0].set_ylim(0)
@@ -118,10 +118,10 @@ def distances(
 def coverage(kept: Mapping[str, Array]) -> None:
     """Draw the score in the third maze by the steps seen."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(7.4, 3.6), sharey=True)
+        fig, axes = plt.subplots(1, 2, figsize=(6.4, 4.1), sharey=True)
     panels = (
-        ("careful", "one start", "a careful expert, one start"),
-        ("sloppy", "everywhere", "a sloppy one, starts everywhere"),
+        ("careful", "one start", "careful, one start"),
+        ("sloppy", "everywhere", "sloppy, everywhere"),
     )
     lines = (
         ("dry", "r(s, a)", plots.ORANGE, "-", "dry floor, r(s, a)"),
@@ -141,7 +141,11 @@ def coverage(kept: Mapping[str, Array]) -> None:
             xscale="log", xlabel="steps seen", title=title, ylim=(-30, 110)
         )
     axes[0].set_ylabel("return in the third maze (%)")
-    axes[1].legend(loc="center right", fontsize="x-small")
+    fig.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2,
+    )
     plt.show()
 
 
