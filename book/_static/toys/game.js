@@ -132,7 +132,7 @@
       while (story.length <= rounds) step();
     };
     return {state: () => ({eta, sign, round: story.length - 1, story}), finish,
-      pose: () => { for (let k = 0; k < 12; k++) step(); }};
+      pose: () => { for (let k = 0; k < 3; k++) step(); }};
   }
 
   window.toys.game = {expert, compare, round};
