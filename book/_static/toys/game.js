@@ -50,7 +50,7 @@
       story.push([now.distance, now.error]);
       const most = (x) => (x < 0.01 ? x.toExponential(0).replace("-", "−") : x.toFixed(2));
       toy.say(`Round ${story.length - 1}. Distance of the visits: ${most(now.distance)}. Largest error `
-        + `of the reward: ${most(now.error)}.`);
+        + `of the reward: ${most(now.error)}.`, playing && story.length <= rounds);
     }
 
     function restart() {
