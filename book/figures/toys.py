@@ -66,6 +66,13 @@ TOYS = {
         "with the error of the reward, and below both errors as they fall "
         "from round to round.",
     ),
+    "squash": Toy(
+        [],
+        "Make the Gaussian wide: the actions gather at the ends, and only "
+        "the density with the Jacobian follows them.",
+        "Bars of sampled actions between -1 and 1, a green line that "
+        "follows them to the ends, and a dashed one that falls to 0 there.",
+    ),
     "products": Toy(
         [],
         "Drag the two policies, their widths and the gate's weights.",

@@ -19,6 +19,7 @@ from test_browser import BROWSERS, FLAGS, LOCAL, MAC, shutil, sync_api
 from figures import toys
 from offairl_lite import tabular
 from offairl_lite.core.policies import product_of_gaussians
+from offairl_lite.plain import log_density
 from offairl_lite.tabular import empirical_occupancy, occupancy, soft_value_iteration
 
 BOOK = Path(toys.__file__).parents[1]
@@ -360,6 +361,17 @@ def test_products_are_the_packages(compute):
     assert theirs[1] == pytest.approx(each @ weight / weight.sum())
 
 
+def test_the_squashed_density_is_that_of_the_plain_program(compute):
+    a = np.linspace(-0.99, 0.99, 7)
+    theirs = compute(f"""const {{density, area}} = toys.squash;
+      return [{LIST(a)}.map((x) => density(x, 0.5, 1.2)), area(0.5, 1.2)];""")
+    given = torch.tensor([[0.5], [np.log(1.2)]])
+    ours = log_density(torch.as_tensor(np.arctanh(a))[:, None], *given).exp()
+    np.testing.assert_allclose(theirs[0], ours, rtol=1e-6)
+    slope = norm(0.5, 1.2).expect(lambda u: 1 - np.tanh(u) ** 2)
+    assert theirs[1] == pytest.approx(slope, abs=1e-6)
+
+
 def test_lives_are_those_of_chapter_7(compute):
     chapter = cells("07_absorbing_states.ipynb", "b889d278", "c104095d")
     theirs = compute(f"""const gammas = {LIST(chapter["gammas"])};
@@ -382,7 +394,7 @@ def test_the_rewards_of_the_maze_are_the_recorded_ones_and_plans_are_the_package
 
 
 def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
-    view = opened("rewards", "corridor", "products", "life", "drawn_maze", "game")
+    view = opened("rewards", "corridor", "products", "life", "drawn_maze", "game", "squash")
     state = "toys.all[{}].state()"
     canvas = view.locator(".toy canvas")
 
@@ -449,3 +461,7 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     assert "Round 1." in says.inner_text()
     view.evaluate("toys.all[5].finish()")
     assert re.search(r"Round 60\. Distance of the visits: \de−[3-9]", says.inner_text())
+
+    box = view.locator(".toy").nth(6).locator("canvas")
+    box.press("ArrowUp")
+    assert view.evaluate(state.format(6))["std"] == pytest.approx(1.1)

@@ -50,7 +50,7 @@
       story.push([now.distance, now.error]);
       const most = (x) => (x < 0.01 ? x.toExponential(0).replace("-", "−") : x.toFixed(2));
       toy.say(`Round ${story.length - 1}. Distance of the visits: ${most(now.distance)}. Largest error `
-        + `of the reward: ${most(now.error)}.`);
+        + `of the reward: ${most(now.error)}.`, playing && story.length <= rounds);
     }
 
     function restart() {
@@ -132,7 +132,7 @@
       while (story.length <= rounds) step();
     };
     return {state: () => ({eta, sign, round: story.length - 1, story}), finish,
-      pose: () => { for (let k = 0; k < 12; k++) step(); }};
+      pose: () => { for (let k = 0; k < 3; k++) step(); }};
   }
 
   window.toys.game = {expert, compare, round};

@@ -53,7 +53,8 @@
       const [first, second] = plans.map(({value}, k) => percent(value, k));
       const said = (x) => `${Math.max(-99, x)} %`.replace("-", "−");
       toy.say(`${kind === "pair" ? "r(s, a)" : "r(s)"}${extra ? " with a shaping" : ""} after `
-        + `${step} steps. First maze: ${said(first)}. Moved wall: ${said(second)} of the expert.`);
+        + `${step} steps. First maze: ${said(first)}. Moved wall: ${said(second)} of the expert.`,
+        follow && step < last);
     }
 
     function learn(which) {

@@ -168,7 +168,9 @@ window.toys = window.toys || (() => {
       });
     }
 
-    say(words) {
+    // What has happened, read aloud unless it is one of many steps.
+    say(words, quiet = false) {
+      this.said.setAttribute("aria-live", quiet ? "off" : "polite");
       if (this.said.textContent !== words) this.said.textContent = words;
     }
 

@@ -110,7 +110,7 @@
       const [c, l] = [fate(ways.copy, "stuck"), fate(ways.learner, "does not know the way yet")];
       const where = shown < steps ? `After ${shown} steps of learning. ` : "";
       const next = moved() || shown < steps ? "" : " Now drag the wall.";
-      toy.say(`${where}Copy: ${c}. Reward: ${l}.${next}`);
+      toy.say(`${where}Copy: ${c}. Reward: ${l}.${next}`, Boolean(lesson));
     }
 
     function learn() {
