@@ -9,6 +9,7 @@ from offairl_lite.analysis.statistics import difference, interquartile_mean
 from offairl_lite.runs import records
 
 FIRST, AGAIN = "Walker2d", "Walker2d, ten more"
+NAMES = dict(enumerate(("logit-sa", "logit-s", "r-sa", "r-s"), 1))
 
 
 def clear(first, second):
@@ -195,7 +196,7 @@ def strong_runs_have_the_strong_data(HOME, METHODS):
 def only_the_reward_differs(variants):
     """Five seeds of each Implementation have 100,000 steps."""
     for n, run in variants.items():
-        assert run.config.reward == ("logit-sa", "logit-s")[n - 1]
+        assert run.config.reward == NAMES[n]
         assert len(run.seeds) == 5
         assert run.steps[-1] == 100_000
 

@@ -126,7 +126,7 @@ def action(
         for part in (array, noise)
         if part is not None
     )
-    inputs = (part.view(1, -1, part.shape[-1]) for part in (x, *noises))
+    inputs = (torch.atleast_2d(part).unsqueeze(0) for part in (x, *noises))
     unit = policy.act(*inputs)[0].cpu().numpy().reshape(*array.shape[:-1], -1)
     scaled = space.low + (unit + 1) / 2 * (space.high - space.low)
     if not (x.isfinite().all() and np.isfinite(scaled).all()):

@@ -15,7 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from offairl_lite import demonstrations, envs
 from offairl_lite.config import Config, DiscriminatorConfig, differences
-from offairl_lite.config.settings import Count, checked
+from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.acceleration import choose_execution, is_large
 from offairl_lite.core.results import Run
 from offairl_lite.demonstrations import Demonstrations
@@ -186,6 +186,7 @@ def _create(
     scale: Scale,
 ) -> dict[str, Demonstrations]:
     """Make the run folders that are not there yet; return the demonstrations, by task."""
+    checked("seeds", tuple(seeds), tuple[Natural, ...])
     missing = {n: _missing_seeds(place / n, configs[n], seeds, given) for n in configs}
     data: dict[str, Demonstrations] = {}
     todo = []

@@ -250,17 +250,22 @@ OBS = np.zeros(2, np.float32)
 
 
 @pytest.mark.parametrize(
-    "result",
-    [None, (OBS, 0.0, False, {}), (OBS, None, False, False, {}), (OBS, "a", False, False, {})],
+    ("result", "message"),
+    [
+        (None, "has failed in its step"),
+        ((OBS, 0.0, False, {}), "has failed in its step"),
+        ((OBS, None, False, False, {}), "has returned None for a reward; expected a number"),
+        ((OBS, "a", False, False, {}), "has returned 'a' for a reward; expected a number"),
+    ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_a_step_of_another_form_is_the_task_s_own_failure(own, monkeypatch, result):
+def test_a_step_of_another_form_is_the_task_s_own_failure(own, monkeypatch, result, message):
     monkeypatch.setattr(Broken, "result", result)
     gymnasium.register("ownbot/Broken-v0", entry_point=Broken, disable_env_checker=True)
     try:
         env = make("ownbot/Broken-v0", 1, 0)
         env.reset()
-        with pytest.raises(envs.TaskError, match="has failed in its step"):
+        with pytest.raises((envs.TaskError, ValueError), match=message):
             env.step(np.zeros((1, 2), np.float32))
     finally:
         del gymnasium.registry["ownbot/Broken-v0"]

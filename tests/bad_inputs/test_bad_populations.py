@@ -45,7 +45,7 @@ def changed(index, value):
         (torch.tensor([0.1, torch.nan, 0.0]), "and the action [nan nan]; expected finite"),
         (None, "obs is None; expected numbers of shape (3,)"),
         (0.5, "obs is 0.5; expected numbers of shape (3,)"),
-        (GOOD[None], "obs is array([[0.1, 0.2, 0. ]]); expected numbers of shape (3,)"),
+        (GOOD[None, None], "obs is array([[[0.1, 0.2, 0. ]]]); expected numbers of shape (3,)"),
         (GOOD.astype(str), "expected numbers of shape (3,)"),
         (GOOD + 1j, "expected numbers of shape (3,)"),
         (GOOD.astype(object), "expected numbers of shape (3,)"),

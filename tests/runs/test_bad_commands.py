@@ -118,11 +118,6 @@ ROWS = [
         "absorbing='analytic' divides by 1 - discount",
         "below 1",
     ),
-    (
-        "run maze-imitation --absorbing bootstrap --reward-sees 0",
-        "reward_sees is (0,)",
-        "set absorbing='none'",
-    ),
     # Grids and several runs.
     ("run maze-expert --grid temperature", "--grid temperature", "SETTING=VALUE,VALUE"),
     ("run maze-expert --grid =1", "no setting ''"),
@@ -214,7 +209,7 @@ ROWS = [
     ("run maze-expert --trajectories 5", "--trajectories 5 would not be used", "leave it out"),
     ("run maze-expert --dataset own/pendulum-v0", "--dataset own/pendulum-v0 would not be used"),
     # Policies and rewards of other runs.
-    ("run maze-transfer", "first `offairl run maze-imitation`", "--frozen-reward"),
+    ("run maze-transfer", "first `offairl run maze-imitation --scale demo`", "--frozen-reward"),
     ("run maze-expert --reward frozen", "a frozen reward of another run is needed", "RUN/reward"),
     ("run maze-expert --guide-steps 9", "a guide of another run is needed", "--guide RUN/policy"),
     ("run maze-expert --pretrained policy", "pretrained policy of another run", "RUN/policy"),
