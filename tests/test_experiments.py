@@ -292,7 +292,7 @@ def test_what_a_reward_is_worth_is_asked_of_all_rewards_alike():
 
 def test_the_marsh_is_learned_from_one_start_and_tried_from_another():
     learned, tried = find("marsh-imitation"), find("marsh-transfer")
-    assert tried.reward_from == "marsh-imitation"
+    assert tried.reward_from == "marsh-imitation/implementation-4"
     tasks = {changes.get("env_id") for changes in tried.variants.values()}
     assert tasks == {None, "offairl/PointMarshWest-v0"}
     for scale, config in learned.configs.items():

@@ -206,9 +206,11 @@ def test_run_then_transfer_then_watch(capsys, shipped_experts, elsewhere):
     assert read(elsewhere / "carried").config.schedule.guide_steps == 20
     sources = RunSpec.read(elsewhere / "carried").inherited
     files = {name: about["files"] for name, about in sources.items()}
-    assert files == dict(
-        zip(inputs.CURES, ([str(path)] for path in (reward, policy, guide)), strict=True)
-    )
+    assert files == {
+        "frozen_reward": [str(reward)],
+        "pretrained_policy": [str(policy)],
+        "guide": [str(guide)],
+    }
     assert len(Policy.load(elsewhere / "carried" / "guide.safetensors")) == 2
     message = failure(f"run maze-transfer {given} --out other {SMALL}", capsys)
     assert "a guide of another run is needed: give --guide RUN/policy" in message
@@ -297,7 +299,8 @@ def test_the_scale_decides_the_defaults(capsys, monkeypatch):
     [
         (
             "run maze-transfer",
-            "`offairl run maze-imitation`, then add --frozen-reward runs/maze-imitation-demo",
+            "`offairl run maze-imitation --scale demo`, then add --frozen-reward "
+            "runs/maze-imitation-demo",
         ),
         ("run maze-transfer --frozen-reward no.safetensors", "no reward at no.safetensors"),
         (
@@ -678,7 +681,6 @@ def test_what_has_no_policy_yet_names_the_task_as_well(arm_folder, capsys):
 @pytest.mark.parametrize(
     ("drawn", "elsewhere_drawn"),
     [
-        ("self.mass = mass", "self.mass = mass + np.random.random()"),
         ("self.np_random.uniform", "np.random.uniform"),
         ("self.obs.astype", "(self.obs + np.random.normal()).astype"),
     ],
@@ -707,13 +709,12 @@ def test_a_longer_run_is_told_to_extend(arm_folder, capsys):
     assert "200, not 400: `offairl resume --steps 400 one --env-id arm:Arm-v0` extends it" in said
 
 
-def test_a_task_without_a_time_limit_is_noted(arm_folder, capsys):
+def test_a_task_that_never_ends_is_refused_before_the_first_step(arm_folder, capsys):
     Path("arm.py").write_text(Path("arm.py").read_text().replace(", max_episode_steps=20", ""))
     line = f"run imitate --reward environment --env-id arm:Arm-v0 {SMALL} --train-every 50"
-    capsys.readouterr()
-    offairl(f"{line} --out endless --prepare")
-    said = capsys.readouterr().err
-    assert "note: arm:Arm-v0 has no time limit: an episode that does not end is an error" in said
+    said = failure(f"{line} --out endless --prepare", capsys)
+    assert "an episode of arm:Arm-v0 has not ended after 20,000 steps: give the task a time" in said
+    assert not Path("endless").exists()
 
 
 def test_what_stops_a_run_says_how_to_go_on_with_it(arm_folder, capsys, monkeypatch):
