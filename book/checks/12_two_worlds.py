@@ -45,15 +45,19 @@ def which_films_identify(rows, correlations):
             assert np.abs(np.array(scores) - 1).max() < 1e-3, name
 
 
-@exact
+@live
 def what_the_moved_wall_tells(rows):
     """With the moved wall a door in the old wall is safe, and a lower wall
-    is a lottery. One film alone fails in both."""
+    is a lottery. One film alone, and mirrored controls, fail in both.
+
+    The nine rewards are drawn in a basis that other processors choose
+    otherwise, so the worst of them is another one there.
+    """
     _, _, door, low = rows["1. the wall on the other side"]
     assert door > 0.99
     assert low < 0.5
-    assert max(rows["none"][2:]) < 0.05
-    assert max(rows["4. controls mirrored"][2:]) < 0.05
+    assert max(rows["none"][2:]) < 0.5
+    assert max(rows["4. controls mirrored"][2:]) < 0.5
 
 
 @exact
