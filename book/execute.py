@@ -85,7 +85,8 @@ def report(folder: Path) -> str:
         notebook = nbformat.read(path, as_version=4)
         code = [cell for cell in notebook.cells if cell.cell_type == "code"]
         short = notebook.metadata.get(MARK)
-        if code and not any(cell.execution_count for cell in code):
+        ran = any(cell.execution_count for cell in code)
+        if code and not ran and not short:
             short = "did not run"  # Killed, perhaps, for want of memory.
         if short:
             page = path.relative_to(folder).with_suffix("")

@@ -74,6 +74,17 @@ def test_a_page_that_does_not_is_marked_and_listed(folder, source, all_ran, says
     assert says in capsys.readouterr().out
 
 
+def test_a_kernel_that_dies_before_it_counts_a_cell_has_not_failed_to_run(folder):
+    run(write("import os; os._exit(1)"), folder)
+    page = folder / "book/page.ipynb"
+    notebook = nbformat.read(page, as_version=4)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            cell.execution_count = None
+    nbformat.write(notebook, page)
+    assert "book/page: stopped at an error, DeadKernelError" in report(folder)
+
+
 def test_a_marked_page_is_rendered_with_its_mark(folder):
     run(write("print('before')\nnumber = 1 / 0"), folder)
     (folder / "_config.yml").write_text('execute: {execute_notebooks: "off"}\n')
