@@ -20,13 +20,12 @@ from offairl_lite import demonstrations as data
 from offairl_lite import envs
 from offairl_lite.config import flat_settings
 from offairl_lite.config.settings import Count, Natural, checked
-from offairl_lite.core.acceleration import choose_execution
 from offairl_lite.core.results import Run
 from offairl_lite.core.rollouts import action as act
 from offairl_lite.experiments import find
 from offairl_lite.runs import checkpoints, folders, inputs, preflight, records
 from offairl_lite.runs.export import InUnits
-from offairl_lite.runs.launch import CHECKPOINT_EVERY, Given
+from offairl_lite.runs.launch import CHECKPOINT_EVERY, RunInputs
 
 Task = str | gymnasium.Env | Callable[[], gymnasium.Env]
 Path_ = str | PathLike
@@ -66,9 +65,9 @@ class AIRL:
         self.seeds: tuple[int, ...] = checked("seeds", [*many], tuple[Natural, ...])  # type: ignore
         if not self.seeds:
             raise ValueError("seeds are (); expected at least one")
-        known = {field.name for field in fields(Given)}
-        given = {name: options.pop(name) for name in known & options.keys()}
-        given |= {n: _several(given[n]) for n in inputs.CURES if n in given}
+        known = {field.name for field in fields(RunInputs)}
+        chosen = {name: options.pop(name) for name in known & options.keys()}
+        chosen |= {n: _several(chosen[n]) for n in inputs.CURES if n in chosen}
         recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
         if total := options.pop("total_steps", None):
             raise TypeError(f"total_steps is an argument of `learn`: AIRL(...).learn({total})")
@@ -84,16 +83,16 @@ class AIRL:
             raise
         self.config = config.change(env_id=_task_id(env))
         notes = preflight.try_out(self.config.env_id, self.seeds[0])
-        self.given, shown = Given(**given), demonstrations
-        few = given.get("trajectories"), self.given.subsample, self.given.experts
+        self.run_inputs, episodes = RunInputs(**chosen), demonstrations
+        few = chosen.get("trajectories"), self.run_inputs.subsample, self.run_inputs.experts
         if config.imitates:
-            shown = self.given.dataset if shown is None else shown
-            shown = data.of(shown, self.config.env_id, *few)
-        elif shown is not None:
+            episodes = self.run_inputs.dataset if episodes is None else episodes
+            episodes = data.of(episodes, self.config.env_id, *few)
+        elif episodes is not None:
             raise ValueError(f"reward={config.reward!r} has no use for demonstrations: give none")
-        self.demonstrations: data.Demonstrations | None = shown
-        self.inherited = inputs.load(config, self.seeds, **self.given.files)
-        for note in notes + preflight.check(self.config, self.seeds, shown, self.inherited):
+        self.demonstrations: data.Demonstrations | None = episodes
+        self.inherited = inputs.load(config, self.seeds, **self.run_inputs.files)
+        for note in notes + preflight.check(self.config, self.seeds, episodes, self.inherited):
             folders.log.warning(note)
         self._place(folder)
 
@@ -124,11 +123,15 @@ class AIRL:
         if (self.folder / "config.json").is_file():
             folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
         else:
-            config, own = self.config.change(total_steps=steps), self.given
-            how = asdict(choose_execution(config, own.device, own.threads, own.compile))
-            inherited = inputs.inherited(self.inherited, own.files, None)
-            about = how, inputs.describe(self.demonstrations), CHECKPOINT_EVERY
-            spec = records.RunSpec(config, self.seeds, *about, inherited=inherited)
+            config = self.config.change(total_steps=steps)
+            spec = records.RunSpec(
+                config,
+                self.seeds,
+                asdict(self.run_inputs.execution(config)),
+                inputs.describe(self.demonstrations),
+                CHECKPOINT_EVERY,
+                inherited=inputs.inherited(self.inherited, self.run_inputs.files, None),
+            )
             folders.create(self.folder, spec, self.inherited, self.demonstrations)
         self._run = None
         folders.work(self.folder, demonstrations=self.demonstrations, progress=progress)
@@ -172,12 +175,12 @@ class AIRL:
         rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
-        found = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
-        return found.numpy() if rows[0].ndim == 2 else found.item()
+        values = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
+        return values.numpy() if rows[0].ndim == 2 else values.item()
 
     def _member(self, seed: int | None) -> int:
         """Return the number of the member with a seed."""
-        left = [own for own in self.seeds if own not in self.run.diverged]
+        left = [member_seed for member_seed in self.seeds if member_seed not in self.run.diverged]
         if seed not in (None, *left) or not left:
             raise ValueError(f"seed is {seed}; there are {left} (diverged: {self.run.diverged})")
         return self.seeds.index(left[0] if seed is None else seed)
@@ -194,14 +197,19 @@ class AIRL:
         A task of one's own, a function, an environment or an id with a module, is given again.
         """
         spec = records.RunSpec.read(path)
-        own = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
-        if (env is None and own) or (isinstance(env, str) and env != spec.config.env_id):
+        needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
+        if (env is None and needs_env) or (isinstance(env, str) and env != spec.config.env_id):
             raise ValueError(
                 f"{path} was trained on {spec.config.env_id}: give that task, AIRL.load(path, env)"
             )
         _task_id(spec.config.env_id if env is None else env, spec.config.env_id)
         self = cls.__new__(cls)
-        self.seeds, self.config, self.given, self.inherited = spec.seeds, spec.config, Given(), {}
+        self.seeds, self.config, self.run_inputs, self.inherited = (
+            spec.seeds,
+            spec.config,
+            RunInputs(),
+            {},
+        )
         self._place(folder)
         checkpoints.copy(Path(path), self.folder)
         self.demonstrations = inputs.demonstrations_of(self.folder, spec)

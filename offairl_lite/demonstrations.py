@@ -78,41 +78,41 @@ class Demonstrations:
         absorbing transitions by k for the same reason.
         """
         checked("every", every, Count)
-        kept = []
+        kept_rows = []
         for i, (end, length) in enumerate(zip(np.cumsum(self.lengths), self.lengths, strict=True)):
             thinned_end = end - int(self.transitions.terminated[end - 1])
             # A trajectory of fewer than k transitions keeps one of them.
             times = min(every, thinned_end - (end - length))
             offset = np.random.default_rng((0, i)).integers(max(times, 1))
             thinned = np.arange(end - length + offset, thinned_end, every).repeat(times)
-            kept.append(np.append(thinned, np.arange(thinned_end, end)))
-        taken = torch.from_numpy(np.concatenate(kept))
+            kept_rows.append(np.append(thinned, np.arange(thinned_end, end)))
+        taken = torch.from_numpy(np.concatenate(kept_rows))
         transitions = Batch(*(part[taken] for part in self.transitions))
         returns = tuple(self.returns.tolist())
-        return Demonstrations(self.env_id, transitions, tuple(map(len, kept)), returns)
+        return Demonstrations(self.env_id, transitions, tuple(map(len, kept_rows)), returns)
 
 
-def require_demonstrations(given: Demonstrations, env: envs.BatchedEnv | envs.SerialEnv) -> None:
+def require_demonstrations(demos: Demonstrations, env: envs.BatchedEnv | envs.SerialEnv) -> None:
     """Raise ValueError unless demonstrations, whoever made them, are whole and fit a task."""
-    if not isinstance(given, Demonstrations) or not given.lengths:
-        raise ValueError(f"demonstrations is {given!r}; expected some of `demonstrations.load`")
-    ends = np.cumsum(checked("lengths", given.lengths, tuple[Count, ...]))
+    if not isinstance(demos, Demonstrations) or not demos.lengths:
+        raise ValueError(f"demonstrations is {demos!r}; expected some of `demonstrations.load`")
+    ends = np.cumsum(checked("lengths", demos.lengths, tuple[Count, ...]))
     space, steps = env.single_observation_space, int(ends[-1])
     widths = space.shape, env.single_action_space.shape, space.shape, (), ()
-    for name, part, width in zip(Batch._fields, given.transitions, widths, strict=True):
+    for name, part, width in zip(Batch._fields, demos.transitions, widths, strict=True):
         kind, shape = getattr(part, "dtype", type(part)), tuple(getattr(part, "shape", ()))
         if kind != torch.float32 or shape != (steps, *width):
             expected = f"expected torch.float32 of shape {(steps, *width)}"
             raise ValueError(f"demonstrations: {name} is {kind} of shape {shape}; {expected}")
-    obs, _, next_obs, _, terminated = (part.numpy() for part in given.transitions)
+    obs, _, next_obs, _, terminated = (part.numpy() for part in demos.transitions)
     wrong = (outside(obs, space) | outside(next_obs, space)).any(1)
-    wrong |= faulty(pack(given.transitions).numpy()).any(1)
+    wrong |= faulty(pack(demos.transitions).numpy()).any(1)
     wrong |= (terminated != 0) & (terminated != np.isin(np.arange(steps), ends - 1))
     for at in np.flatnonzero(wrong)[:1]:
         episode = np.searchsorted(ends, at, "right")
         raise ValueError(
             f"demonstrations, episode {episode}: expected finite numbers, observations in {space}, "
-            f"and terminated 0, or 1 at the end; found {[part[at] for part in given.transitions]}"
+            f"and terminated 0, or 1 at the end; found {[part[at] for part in demos.transitions]}"
         )
 
 
@@ -186,7 +186,7 @@ def load(
 
 
 def of(
-    given: Any,
+    source: Any,
     env_id: str,
     trajectories: int | None = None,
     subsample: int = 1,
@@ -201,36 +201,36 @@ def of(
     there already all are taken, or the first `trajectories`. ValueError says what is wrong, and
     with which recording.
     """
-    if isinstance(given, Demonstrations):
-        return given
-    if given is None:
+    if isinstance(source, Demonstrations):
+        return source
+    if source is None:
         return load(env_id, trajectories or 50, None, subsample, experts)
-    if isinstance(given, str):
-        there = minari_storage.local_datasets().get(given, {}).get("total_episodes", 50)
-        return load(env_id, trajectories or there, given, subsample)
-    if hasattr(given, "predict"):
-        model, given = given, lambda obs: model.predict(obs, deterministic=True)[0]
-    if isinstance(given, Policy) or callable(given):
-        given = record(given, env_id, trajectories or 50)
-    if isinstance(given, Mapping):
-        given = from_flat(given)
-    if not isinstance(given, list | tuple) or not given:
+    if isinstance(source, str):
+        available = minari_storage.local_datasets().get(source, {}).get("total_episodes", 50)
+        return load(env_id, trajectories or available, source, subsample)
+    if hasattr(source, "predict"):
+        model, source = source, lambda obs: model.predict(obs, deterministic=True)[0]
+    if isinstance(source, Policy) or callable(source):
+        source = record(source, env_id, trajectories or 50)
+    if isinstance(source, Mapping):
+        source = from_flat(source)
+    if not isinstance(source, list | tuple) or not source:
         raise ValueError(
-            f"demonstrations are {given!r}; expected a list of episodes, each a Recording or (obs, "
-            "action), flat arrays by their names, a Minari data set's name, or a policy"
+            f"demonstrations are {source!r}; expected a list of episodes, each a Recording or "
+            "(obs, action), flat arrays by their names, a Minari data set's name, or a policy"
         )
-    parts = [one if isinstance(one, Recording) else _parts(i, one) for i, one in enumerate(given)]
+    parts = [one if isinstance(one, Recording) else _parts(i, one) for i, one in enumerate(source)]
     data = Demonstrations(env_id, *minari_storage.transitions_of(parts[:trajectories], env_id))
     return data if subsample == 1 else data.subsample(subsample)
 
 
-def _parts(i: int, given: Any) -> Recording:
+def _parts(i: int, parts: Any) -> Recording:
     """Return an episode that is given as a tuple, or as a dictionary."""
     try:
-        return Recording(**given) if isinstance(given, Mapping) else Recording(*given)
+        return Recording(**parts) if isinstance(parts, Mapping) else Recording(*parts)
     except TypeError as error:
         why = f"expected a Recording, or its parts {Recording._fields}"
-        raise ValueError(f"recording {i} is a {type(given).__name__}; {why}: {error}") from error
+        raise ValueError(f"recording {i} is a {type(parts).__name__}; {why}: {error}") from error
 
 
 def _made_by_experts(env_id: str, trajectories: int, experts: int | str | None) -> str:
@@ -238,19 +238,19 @@ def _made_by_experts(env_id: str, trajectories: int, experts: int | str | None) 
     envs.spec(env_id)  # Refuses an unknown task before experts are looked for.
     policy = expert(env_id)
     file = expert_file(env_id)
-    there = Annotated[int, f"in [1, {len(policy)}], or 'best'", lambda n: 0 < n <= len(policy)]
+    valid = Annotated[int, f"in [1, {len(policy)}], or 'best'", lambda n: 0 < n <= len(policy)]
     if experts == "best":
         members = [int(np.argmax(json.loads(file.with_suffix(".json").read_bytes())["returns"]))]
     else:
-        members = [*range(len(policy) if experts is None else checked("experts", experts, there))]
+        members = [*range(len(policy) if experts is None else checked("experts", experts, valid))]
     content = [part.read_bytes() for part in (file, file.with_suffix(ACTIONS)) if part.is_file()]
     digest, who = hashlib.sha256(b"".join(content)).hexdigest()[:8], "-".join(map(str, members))
     dataset_id = f"offairl/{short_name(env_id)}/experts-{digest}-{who}-of-{trajectories}-v0"
 
     def complete() -> bool:
         # Minari counts the episodes after it has written them.
-        found = minari_storage.local_datasets().get(dataset_id, {})
-        return found.get("total_episodes") == trajectories
+        dataset = minari_storage.local_datasets().get(dataset_id, {})
+        return dataset.get("total_episodes") == trajectories
 
     with warnings.catch_warnings():
         # Another process may have begun to write it.
@@ -360,18 +360,18 @@ def first_episodes(
     from the shipped actions come the same episodes, of which digests are kept.
     """
     seeds = range(len(policy)) if members is None else members
-    how: dict[str, Any] = {"purpose": PURPOSE, "first": first}
+    seeding: dict[str, Any] = {"purpose": PURPOSE, "first": first}
     if members is not None and (file := expert_file(env_id).with_suffix(ACTIONS)).is_file():
         with lzma.open(file) as stream:
             actions = np.load(stream)[members, first : first + BLOCK]
         if actions.size:
-            made = rollout(policy, env_id, seeds, BLOCK, actions=actions, **how)
+            made = rollout(policy, env_id, seeds, BLOCK, actions=actions, **seeding)
             noted = json.loads(expert_file(env_id).with_suffix(".json").read_bytes())
             wanted = [noted["demonstrations"][member][first // BLOCK] for member in members]
             if digests(made) == wanted:
                 return made
         _say_that_they_differ(env_id)
-    return rollout(policy, env_id, seeds, BLOCK, sample=True, **how)
+    return rollout(policy, env_id, seeds, BLOCK, sample=True, **seeding)
 
 
 @cache

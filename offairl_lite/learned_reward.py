@@ -66,8 +66,8 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
             )
         discount, self._rest = checked("discount", discount, BelowOne), 0.0
         if sees > obs_dim:
-            there, still = absorbing_state(torch.zeros(1, 1, sees)), torch.zeros(1, 1, action_dim)
-            r_absorbing = self._reward(there, still).double()
+            absent, still = absorbing_state(torch.zeros(1, 1, sees)), torch.zeros(1, 1, action_dim)
+            r_absorbing = self._reward(absent, still).double()
             self._rest = analytic_return(torch.zeros(()), r_absorbing, discount).item()
 
     def reset(
@@ -80,12 +80,12 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Act once."""
-        obs, own, terminated, truncated, info = self.env.step(action)
+        obs, task_reward, terminated, truncated, info = self.env.step(action)
         low, high = self._units.low, self._units.high
         scaled = 2 * (np.asarray(action) - low) / (high - low) - 1
         paid = self._reward(self._seen, _copy(scaled)).item() + self._rest * terminated
         self._seen = _copy(obs)
-        return obs, float(paid), terminated, truncated, {**info, "task_reward": own}
+        return obs, float(paid), terminated, truncated, {**info, "task_reward": task_reward}
 
 
 def _copy(numbers: np.ndarray) -> Float32[Tensor, "1 1 N"]:

@@ -101,8 +101,8 @@ def transitions_of(recordings: Sequence[Recording], env_id: str) -> tuple[Batch,
 def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuffer:
     """Return recording i as Minari's episode, in the task's types where it has them."""
     if not isinstance(recording, Recording):
-        found = type(recording).__name__
-        raise TypeError(f"it is a {found}; expected a Recording(obs, action, terminated=...)")
+        type_name = type(recording).__name__
+        raise TypeError(f"it is a {type_name}; expected a Recording(obs, action, terminated=...)")
     obs, action, terminated, reward = recording
     checked("terminated", terminated, bool)
     if action is None:
@@ -161,9 +161,9 @@ def _other_task(made_on: EnvSpec | None, env_id: str) -> str:
     here = EnvSpec.from_json(_storable(envs.spec(env_id)).to_json())
     # The module that registers a task may be named before its id; a picture changes no step.
     name, has = made_on.id.split(":")[-1], here.kwargs
-    given = {k: v for k, v in made_on.kwargs.items() if k != "render_mode" and v != has.get(k)}
+    changed = {k: v for k, v in made_on.kwargs.items() if k != "render_mode" and v != has.get(k)}
     if name == here.id:
-        return f"{name} with {given}" * bool(given)
+        return f"{name} with {changed}" * bool(changed)
     family = name.rpartition("-v")[0] == here.id.rpartition("-v")[0]
     return name + ", another version of the task" * family
 
@@ -179,20 +179,20 @@ def _reading(where: str) -> Iterator[None]:
 
 def local_datasets() -> dict[str, dict[str, Any]]:
     """Return the metadata of each data set in the local storage, by name."""
-    found = {}
+    datasets = {}
     with storage_errors():
         for path in sorted((root := get_dataset_path()).rglob("data/metadata.json")):
             name = path.parent.parent.relative_to(root).as_posix()
             try:
                 parse_dataset_id(name)
-                about = MinariStorage.read_raw_metadata(path.parent)
-                if about["dataset_id"] != name:
-                    raise ValueError(f"it is of {about['dataset_id']}")
+                metadata = MinariStorage.read_raw_metadata(path.parent)
+                if metadata["dataset_id"] != name:
+                    raise ValueError(f"it is of {metadata['dataset_id']}")
             except (KeyError, TypeError, ValueError) as error:
                 log.warning(f"{path.parent.parent} is no Minari data set, and is left out: {error}")
             else:
-                found[name] = about
-    return found
+                datasets[name] = metadata
+    return datasets
 
 
 @contextmanager
@@ -247,9 +247,9 @@ def _storable(spec: EnvSpec) -> EnvSpec:
 def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, units: Box) -> None:
     """Raise ValueError unless an episode fits a task; `where` says in the message which one."""
 
-    def expect(met: bool, expected: str, found: object) -> None:
+    def expect(met: bool, expected: str, actual: object) -> None:
         if not met:
-            raise ValueError(f"{where}: expected {expected}; found {found}")
+            raise ValueError(f"{where}: expected {expected}; found {actual}")
 
     steps = len(np.atleast_1d(episode.terminations))
     expect(steps > 0, "at least one step", "none")
@@ -260,30 +260,32 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
         array = getattr(episode, part)
         if isinstance(array, dict):
             names = ", ".join(map(str, array))
-            found = f"a dictionary of {names}: put one array beside the other, in the order of the "
-            found += (
+            actual = (
+                f"a dictionary of {names}: put one array beside the other, in the order of the "
+            )
+            actual += (
                 f"task's observation ({', '.join(sorted(map(str, array)))} in FlattenObservation)"
             )
-            expect(False, f"{part} of shape {shape}", found)
-        found = getattr(array, "shape", type(array).__name__)
+            expect(False, f"{part} of shape {shape}", actual)
+        actual = getattr(array, "shape", type(array).__name__)
         rule = "; T actions go with T + 1 observations" * (part == "observations")
-        expect(found == shape, f"{part} of shape {shape}", f"{found}{rule}")
+        expect(actual == shape, f"{part} of shape {shape}", f"{actual}{rule}")
         expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
         bad = np.argwhere(faulty(array))
-        found = f"{len(bad)} {FAULTY}, the first at {bad[:1]}: {array[tuple(bad[:1].T)]}"
-        expect(not len(bad), f"finite {part}", found)
+        actual = f"{len(bad)} {FAULTY}, the first at {bad[:1]}: {array[tuple(bad[:1].T)]}"
+        expect(not len(bad), f"finite {part}", actual)
     for part, space in spaces.items():
         array = getattr(episode, part)
         for step, i in np.argwhere(outside(array, space))[:1]:
             cure = "mend it, or the task's space"
             if part == "actions":
                 cure = "np.clip it if the robot did; this task, which was tried, does not clip"
-            found = f"{array[step, i]:.6g} in step {step}: {cure}"
-            expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", found)
+            actual = f"{array[step, i]:.6g} in step {step}: {cure}"
+            expect(False, f"{part}[{i}] in [{space.low[i]:.6g}, {space.high[i]:.6g}]", actual)
     ends = np.flatnonzero(np.any([episode.terminations, episode.truncations], 0))
     expected = f"one end, terminated or truncated, at its last step ({steps - 1})"
-    found = f"ends at {ends.tolist()}" if len(ends) else "no end: mark the last step as truncated"
-    expect(ends.tolist() == [steps - 1], expected, found)
+    actual = f"ends at {ends.tolist()}" if len(ends) else "no end: mark the last step as truncated"
+    expect(ends.tolist() == [steps - 1], expected, actual)
 
 
 def outside(array: np.ndarray, space: Box) -> np.ndarray:

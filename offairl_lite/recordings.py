@@ -42,11 +42,11 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     Raises:
         ValueError: an array is missing or of another length, or all episodes have one step.
     """
-    found = {part: arrays[n] for part, names in NAMES.items() for n in names[::-1] if n in arrays}
-    rows = {part: np.asarray(array) for part, array in found.items()}
-    steps, there = len(rows.get("action", ())), sorted(arrays)
+    columns = {part: arrays[n] for part, names in NAMES.items() for n in names[::-1] if n in arrays}
+    rows = {part: np.asarray(array) for part, array in columns.items()}
+    steps, available = len(rows.get("action", ())), sorted(arrays)
     if not {"obs", "action"} <= rows.keys():
-        raise ValueError(f"flat arrays {there}; expected obs and actions among them")
+        raise ValueError(f"flat arrays {available}; expected obs and actions among them")
     if wrong := {n: len(array) for n, array in rows.items() if len(array) != steps}:
         raise ValueError(
             f"flat arrays: {wrong} rows, and {steps} actions; expected as many of each"
@@ -59,9 +59,9 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     elif marks:
         starts = np.append(True, np.any(marks, 0)[:-1])
     else:
-        raise ValueError(f"flat arrays {there}; expected episode_starts or dones among them")
+        raise ValueError(f"flat arrays {available}; expected episode_starts or dones among them")
     bounds = [*np.flatnonzero(starts | (np.arange(steps) == 0)), steps]
-    recordings, lost = [], 0
+    recordings, dropped = [], 0
     for begin, end in pairwise(bounds):
         obs, ended = (
             rows["obs"][begin:end],
@@ -70,16 +70,16 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
         if "next_obs" in rows:
             obs = np.concatenate([obs, rows["next_obs"][end - 1 : end]])
         else:
-            lost, ended, end = lost + ended, False, end - 1
+            dropped, ended, end = dropped + ended, False, end - 1
         if end > begin:
             reward = rows["reward"][begin:end] if "reward" in rows else None
             recordings.append(Recording(obs, rows["action"][begin:end], ended, reward))
     if not recordings:
         raise ValueError("flat arrays: no episode has two observations")
-    if lost:
+    if dropped:
         log.warning(
-            f"{lost} of {len(bounds) - 1} episodes terminated, and the observation after it is not "
-            "there: they are taken for recordings that were cut; next_obs would show the end"
+            f"{dropped} of {len(bounds) - 1} episodes terminated, and the observation after it is "
+            "not there: they are taken for recordings that were cut; next_obs would show the end"
         )
     return recordings
 
@@ -114,9 +114,9 @@ def played(
 def _require_action(action: Any, units: Box, where: str) -> None:
     """Raise ValueError, with the episode and the step, unless a task can take an action."""
     with suppress(ValueError, TypeError):  # What is no array is refused below.
-        given = np.asarray(action)
-        like = given.shape == units.shape and given.dtype.kind in "biuf"
-        if like and np.isfinite(given).all() and not minari_storage.outside(given, units).any():
+        array = np.asarray(action)
+        like = array.shape == units.shape and array.dtype.kind in "biuf"
+        if like and np.isfinite(array).all() and not minari_storage.outside(array, units).any():
             return
     raise ValueError(
         f"{where}: the action is {action!r}; expected finite numbers in the task's own units, "

@@ -427,7 +427,7 @@ def test_what_a_killed_start_left_behind_is_no_run(tmp_path):
     left = tmp_path / ".seeds-0.x" / "run"
     left.mkdir(parents=True)
     (left / "config.json").write_text("{}")
-    assert records.found(tmp_path) == []
+    assert records.folders_in(tmp_path) == []
 
 
 def test_tensorboard_removes_only_what_it_wrote(tmp_path):

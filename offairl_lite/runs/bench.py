@@ -96,8 +96,8 @@ def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[st
         eval_every=10**9,
     )
     compile: Literal["yes", "no"] = "yes" if options.compile else "no"
-    how = choose_execution(config, options.device, options.threads, compile)
-    trainer = Trainer(config, range(members), random_demonstrations(TASK), execution=how)
+    chosen = choose_execution(config, options.device, options.threads, compile)
+    trainer = Trainer(config, range(members), random_demonstrations(TASK), execution=chosen)
     blocks = trained_blocks(trainer)
     next(blocks)
     return {"updates": partial(trainer.train_on_block, 2 * CHUNK), "steps": partial(next, blocks)}
@@ -126,21 +126,21 @@ def measure(options: Options) -> dict[str, Any]:
     acts: dict[str, tuple[Callable, int]] = {}
     for hidden, n in tqdm(makers, desc="preparing", leave=False):
         title = f"{'-'.join(map(str, hidden))}, batch {BATCH}, members {n}"
-        for what, act in measured(options, hidden, n).items():
-            acts[f"{what}, {title}"] = act, 2 * CHUNK * n
+        for rate_title, act in measured(options, hidden, n).items():
+            acts[f"{rate_title}, {title}"] = act, 2 * CHUNK * n
     turns: dict[str, list[float]] = {title: [] for title in acts}
     for title in tqdm([*acts] * options.rounds, desc="measuring", leave=False):
         act, amount = acts[title]
         turns[title].append(amount * turn(act, options.seconds))
-    rates = {title: median(found) for title, found in turns.items()}
+    rates = {title: median(samples) for title, samples in turns.items()}
     return {"origin": origin(execution), "options": asdict(options), "rates": rates}
 
 
 def table(report: dict[str, Any]) -> str:
     """Lay a report out for people."""
-    about = report["origin"]
-    lines = [", ".join(f"{name} {number}" for name, number in about["versions"].items()), ""]
-    lines.append(f"{about['processor']:60} a second")
+    origin = report["origin"]
+    lines = [", ".join(f"{name} {number}" for name, number in origin["versions"].items()), ""]
+    lines.append(f"{origin['processor']:60} a second")
     lines += [f"{title:60} {rate:8.0f}" for title, rate in report["rates"].items()]
     return "\n".join([*lines, "", "Of all members together. With each step come its updates."])
 

@@ -73,7 +73,7 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float, blocks: l
     with open(folder / "curve.csv", "rb") as file:
         os.fsync(file.fileno())
     state = trainer.state()
-    about = {
+    metadata = {
         "kind": "checkpoint",
         "format": FORMAT,
         "identity": _identity(spec),
@@ -85,8 +85,8 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float, blocks: l
         "wall_s": wall_s,
         "diverged": trainer.members.diverged,
     }
-    about["digest"] = digest(state, about)
-    records.write_whole(folder / CHECKPOINT, lambda part: save_weights(part, state, about))
+    metadata["digest"] = digest(state, metadata)
+    records.write_whole(folder / CHECKPOINT, lambda part: save_weights(part, state, metadata))
 
 
 def load(folder: Path, spec: RunSpec) -> Found | None:
@@ -104,16 +104,16 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
             )
         return None
     try:
-        state, about = load_weights(path, "checkpoint")
-        sound = about.pop("digest", None) == digest(state, about)
+        state, metadata = load_weights(path, "checkpoint")
+        sound = metadata.pop("digest", None) == digest(state, metadata)
     except ValueError as error:
         raise damaged(folder, path, error) from error
-    records.require_format(path, about.get("format", 1), FORMAT)
+    records.require_format(path, metadata.get("format", 1), FORMAT)
     if not sound:
         raise damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.
     defaults = {name: default for name, (_, default, _) in flat_settings().items()}
-    was, now = json.loads(json.dumps(defaults)) | about["identity"], _identity(spec)
+    was, now = json.loads(json.dumps(defaults)) | metadata["identity"], _identity(spec)
     changed = [f"{k} was {was.get(k)!r}, is {now[k]!r}" for k in now if was.get(k) != now[k]]
     if changed:
         raise ValueError(
@@ -121,11 +121,11 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
             "what was changed, or start a new run"
         )
     for file in (folder / "curve.csv", folder / REPLAY):
-        found = file.stat().st_size if file.is_file() else 0
-        if found < about[file.name]:
-            raise damaged(folder, file, f"it had {about[file.name]} bytes, and has {found}")
-    records.require_checksum(folder / "curve.csv", about.get("curve"), about["curve.csv"])
-    if (reached := about["steps"]) > spec.config.total_steps:
+        size = file.stat().st_size if file.is_file() else 0
+        if size < metadata[file.name]:
+            raise damaged(folder, file, f"it had {metadata[file.name]} bytes, and has {size}")
+    records.require_checksum(folder / "curve.csv", metadata.get("curve"), metadata["curve.csv"])
+    if (reached := metadata["steps"]) > spec.config.total_steps:
         raise ValueError(
             f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
             f"`offairl resume {folder} --steps N` takes any N from {reached} on"
@@ -133,22 +133,22 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
     if reached < spec.config.total_steps:
         with closing(envs.make(spec.config.env_id, len(spec.seeds), spec.seeds)) as env:
             env.set_state({k: x.numpy() for k, x in part_of(state, "collector.env").items()})
-    return state, about
+    return state, metadata
 
 
 def restore(folder: Path, trainer: Trainer, checkpoint: Found, checksums: Checksums) -> None:
     """Put a trainer, and the curve, where a checkpoint has them, if the replay belongs to it."""
-    state, about = checkpoint
+    state, metadata = checkpoint
     trainer.restore(state)
     now = checksums.update()
     # An older checkpoint has no checksums. A run that is extended may have more blocks.
-    pairs = enumerate(zip(now, about.get("blocks", now), strict=False))
+    pairs = enumerate(zip(now, metadata.get("blocks", now), strict=False))
     if wrong := [block for block, (here, there) in pairs if here != there]:
         size = BLOCK * checksums.replay.rows[0].nbytes
         where = f"{len(wrong)} of its {len(now)} blocks, the first from byte {wrong[0] * size} on"
         raise damaged(folder, folder / REPLAY, f"{where}, are not as they were at the checkpoint")
-    trainer.members.diverged.update({int(seed): why for seed, why in about["diverged"].items()})
-    os.truncate(folder / "curve.csv", about["curve.csv"])
+    trainer.members.diverged.update({int(seed): why for seed, why in metadata["diverged"].items()})
+    os.truncate(folder / "curve.csv", metadata["curve.csv"])
 
 
 def _identity(spec: RunSpec) -> dict[str, Any]:
@@ -200,8 +200,8 @@ def weights(config: Config, obs: int, action: int) -> int:
 
 def require_room(place: Path, space: int) -> None:
     """Raise OSError unless the disk of a folder, which may be a new one, has so many bytes left."""
-    there = place.absolute()
-    free = shutil.disk_usage(next(path for path in (there, *there.parents) if path.exists())).free
+    target = place.absolute()
+    free = shutil.disk_usage(next(path for path in (target, *target.parents) if path.exists())).free
     if free < space:
         raise OSError(
             f"{in_words(space)} of disk are needed, mostly for replay, and {place} has "
@@ -221,8 +221,8 @@ def copy(source: Path, target: Path) -> None:
     """
     RunSpec.read(source)
     source, target = source.resolve(), target.resolve()
-    there = records.beginning(target) == target and any(target.iterdir())
-    if there and not (target / "config.json").is_file():
+    taken = records.beginning(target) == target and any(target.iterdir())
+    if taken and not (target / "config.json").is_file():
         raise FileExistsError(f"{target} is not empty, and no run: choose another place")
     if source == target:
         return

@@ -93,7 +93,7 @@ def demos(
             turns, and actions are sampled.
         step: of the run's evaluation whose policies act; by default those of its end.
     """
-    launch.Given(dataset, experts=experts).require_use([CORRECTED], launch.Given())
+    launch.RunInputs(dataset, experts=experts).require_use([CORRECTED], launch.RunInputs())
     if trajectories is None:
         trajectories = local_datasets().get(dataset or "", {}).get("total_episodes", 50)
     if policy is not None:
@@ -106,9 +106,9 @@ def demos(
     data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     lengths, returns = np.array(data.lengths), data.returns
     ended = data.transitions.terminated[lengths.cumsum() - 1].numpy() == 1
-    said = f"return {returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
-    said = f"{said if returns.any() else 'no rewards'}; {ended.sum()} of them terminated"
-    print(f"{env_id}: {len(data)} trajectories, {sum(lengths):,} steps, {said}")
+    summary = f"return {returns.mean():.2f} (from {returns.min():.2f} to {returns.max():.2f})"
+    summary = f"{summary if returns.any() else 'no rewards'}; {ended.sum()} of them terminated"
+    print(f"{env_id}: {len(data)} trajectories, {sum(lengths):,} steps, {summary}")
     used = 50 * np.ptp(data.transitions.action.numpy(), axis=0)
     print(f"actions use {', '.join(f'{share:.0f}' for share in used)} % of their ranges")
     limit = envs.spec(env_id).max_episode_steps or np.inf
@@ -150,20 +150,21 @@ def clone(
     """
     if out.suffix != ".safetensors":
         raise ValueError(f"out is {out}; expected a policy's file: --out {out}.safetensors")
-    shown = demonstrations.load(env_id, trajectories, dataset, experts=experts)
+    demos = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     policy = cloning.clone(
-        shown, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state
+        demos, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state
     )
     records.write_whole(out, policy.save)
-    print(f"{out}: {len(policy)} policies; demonstrations return {shown.returns.mean():.2f}")
+    print(f"{out}: {len(policy)} policies; demonstrations return {demos.returns.mean():.2f}")
     if eval_episodes:
         returns = rollout(policy, env_id, seeds, eval_episodes).returns
-        for seed, own in zip(seeds, returns, strict=True):
-            print(f"seed {seed}: {own.mean():.2f} (from {own.min():.2f} to {own.max():.2f})")
+        for seed, scores in zip(seeds, returns, strict=True):
+            low, high = scores.min(), scores.max()
+            print(f"seed {seed}: {scores.mean():.2f} (from {low:.2f} to {high:.2f})")
 
 
 def watch(
-    what: Positional[str],
+    source: Positional[str],
     *,
     env_id: str | None = None,
     member: int = 0,
@@ -185,9 +186,9 @@ def watch(
     """
     if out.suffix != ".mp4":
         raise ValueError(f"out is {out}; expected the name of an MP4 file: --out {out.stem}.mp4")
-    for path in Path(what).rglob("config.json") if env_id is None else ():
+    for path in Path(source).rglob("config.json") if env_id is None else ():
         folders.known(path.parent, command="watch")
-    policy = _policy(what, step).member(member)
+    policy = _policy(source, step).member(member)
     # Before the film is made, which takes longer than it takes to learn that it has no place.
     out.parent.mkdir(parents=True, exist_ok=True)
     task = env_id or policy.env_id
@@ -199,18 +200,18 @@ def watch(
     print(f"{out}: {len(pictures)} frames of {task}")
 
 
-def _policy(what: str, step: int | None) -> Policy:
+def _policy(source: str, step: int | None) -> Policy:
     """Return the policy of a run, of a file, or of a task with shipped experts."""
-    path = Path(what)
+    path = Path(source)
     if path.exists() or path.suffix == ".safetensors":
         return inputs.load_one(path, Policy, step)
     # A folder's name may end like a task's: runs/Hopper is not Hopper-v5.
-    if what not in gymnasium.registry:
+    if source not in gymnasium.registry:
         raise FileNotFoundError(
-            f"there is no run or policy file {what}, and no expert is shipped for {what}: "
+            f"there is no run or policy file {source}, and no expert is shipped for {source}: "
             "`offairl list` names the tasks with experts, and `ls runs` your runs"
         )
-    return demonstrations.expert(what)
+    return demonstrations.expert(source)
 
 
 def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool = False) -> None:
@@ -273,13 +274,14 @@ def verify(record: Positional[Path], *, env_id: str | None = None) -> None:
     if all(old and new and old.returns == new.returns for old, new in pairs.values()):
         return print("the same, every return of every episode")
     first = records.run_folders(record)[0]
-    then, said = records.read_json(first / "run.json"), [f"{record} comes out otherwise here"]
+    then = records.read_json(first / "run.json")
+    differences = [f"{record} comes out otherwise here"]
     if records.RunSpec.read(first).execution.get("compile"):
-        said.append("its updates are compiled, and every compiler rounds in its own way")
+        differences.append("its updates are compiled, and every compiler rounds in its own way")
     for key, (was, here) in records.changed(then, records.origin(Execution())).items():
         cure = " (the environment variable ATEN_CPU_CAPABILITY sets them)" * (key == "vectors")
-        said.append(f"{key}: {was}, here {here}{cure}")
-    raise ValueError("; ".join(said))
+        differences.append(f"{key}: {was}, here {here}{cure}")
+    raise ValueError("; ".join(differences))
 
 
 def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -> None:
@@ -323,8 +325,8 @@ def main(args: Sequence[str] | None = None) -> None:
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
         name = next((arg for arg in free if arg in EXPERIMENTS), "imitate")
-        asked = dict(pairwise(args)).get("--scale")
-        size: Scale = "full" if asked == "full" else "demo" if asked == "demo" else current()
+        scale = dict(pairwise(args)).get("--scale")
+        size: Scale = "full" if scale == "full" else "demo" if scale == "demo" else current()
         commands: dict[str, Callable[..., Any]] = {
             "list": list_experiments,
             "run": launch.run_command(name, size),

@@ -83,9 +83,9 @@ def export(
         inputs.load_one(folder, Policy)  # It says what to do.
     env_id = run.config.env_id
     box, space = envs.spaces(env_id)
-    how = ONNX + TORCH
+    instructions = ONNX + TORCH
     if find_spec("onnxscript") is None:
-        how = TORCH
+        instructions = TORCH
         cure = "pip install -e '.[export]', in a clone, and give the command again"
         notes.append(f"ONNX is not installed, so there are programs of PyTorch alone: {cure}")
     ends = {row.seed: f"return {row.mean_return:.4g} at step {row.step:,}" for row in run.rows}
@@ -93,26 +93,31 @@ def export(
     low, high = space.low.tolist(), space.high.tolist()
     text = ABOUT.format(folder=folder, env_id=env_id, members=lines, low=low, high=high)
     out.mkdir(parents=True, exist_ok=True)
-    for kind, gives, thing in (("policy", "action", run.policy), ("reward", "reward", run.reward)):
-        if thing is None:
+    for kind, gives, network in (
+        ("policy", "action", run.policy),
+        ("reward", "reward", run.reward),
+    ):
+        if network is None:
             why = (kind == "reward" and inputs.why_no_reward(run.config)) or "its file is not there"
             notes.append(f"{folder} has no {kind} to export: {why}")
             continue
-        if isinstance(thing, Policy):
-            require_actions(thing, space)
+        if isinstance(network, Policy):
+            require_actions(network, space)
         sizes = {"obs": box.shape[0], "action": space.shape[0]}
-        if isinstance(thing, Policy) or thing.state_only:
+        if isinstance(network, Policy) or network.state_only:
             del sizes["action"]
-        if isinstance(thing, Reward) and thing.normaliser.mean.shape[-1] > box.shape[0]:
-            there = torch.eye(box.shape[0] + 1)[-1].expand(len(thing), 1, -1)
-            rest = 99 * thing(there, torch.zeros(len(thing), 1, space.shape[0]))[:, 0]
+        if isinstance(network, Reward) and network.normaliser.mean.shape[-1] > box.shape[0]:
+            absorbing = torch.eye(box.shape[0] + 1)[-1].expand(len(network), 1, -1)
+            rest = 99 * network(absorbing, torch.zeros(len(network), 1, space.shape[0]))[:, 0]
             text += "".join(ABSORBING.format(i=i, rest=rest[i].item()) for i in members)
         for i in members:
-            _write(thing.member(i), space, sizes, gives, out / f"{kind}-{i}")
+            _write(network.member(i), space, sizes, gives, out / f"{kind}-{i}")
         arrays = ", ".join(f'"{name}": np.zeros((1, {n}), np.float32)' for name, n in sizes.items())
         tensors = ", ".join(f"torch.zeros(1, {n})" for n in sizes.values())
         file = f"{kind}-{members[0]}"
-        text += how.format(kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors)
+        text += instructions.format(
+            kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors
+        )
     (out / "README.txt").write_text(text, "utf-8")
     return notes
 
@@ -122,30 +127,30 @@ def _members(run: Run, folder: Path, member: int | None) -> tuple[list[int], lis
     count = len(run.seeds)
     if member is not None and not 0 <= member < count:
         raise ValueError(f"member is {member}; {folder} has members 0 to {count - 1}")
-    asked = range(count) if member is None else [member]
-    lost = {i: run.diverged[run.seeds[i]] for i in asked if run.seeds[i] in run.diverged}
-    notes = [f"member {i} of {folder} cannot be exported: {why}" for i, why in lost.items()]
-    if len(lost) == len(asked):
+    members = range(count) if member is None else [member]
+    failed = {i: run.diverged[run.seeds[i]] for i in members if run.seeds[i] in run.diverged}
+    notes = [f"member {i} of {folder} cannot be exported: {why}" for i, why in failed.items()]
+    if len(failed) == len(members):
         raise ValueError("; ".join(notes))
-    return [i for i in asked if i not in lost], notes
+    return [i for i in members if i not in failed], notes
 
 
 def _write(
-    thing: Policy | Reward, space: Box, sizes: dict[str, int], gives: str, path: Path
+    network: Policy | Reward, space: Box, sizes: dict[str, int], gives: str, path: Path
 ) -> None:
     """Write one member as a program of PyTorch and, where it is installed, as ONNX."""
-    given = tuple(torch.zeros(2, n) for n in sizes.values())
+    example = tuple(torch.zeros(2, n) for n in sizes.values())
     rows = {name: {0: torch.export.Dim("rows")} for name in sizes}
     logging.disable(logging.WARNING)  # The exporters speak of packages that nobody needs here.
     try:
         with warnings.catch_warnings(action="ignore"):
-            module = InUnits(thing, space)
-            program = torch.export.export(module, given, dynamic_shapes=rows)
+            module = InUnits(network, space)
+            program = torch.export.export(module, example, dynamic_shapes=rows)
             torch.export.save(program, whole := io.BytesIO())  # On a full disk it would crash.
             path.with_suffix(".pt2").write_bytes(whole.getbuffer())
             if find_spec("onnxscript") is not None:
                 file, names = path.with_suffix(".onnx"), [*sizes]
-                own: Any = {"input_names": names, "output_names": [gives], "verbose": False}
-                torch.onnx.export(program, f=file, external_data=False, **own)
+                options: Any = {"input_names": names, "output_names": [gives], "verbose": False}
+                torch.onnx.export(program, f=file, external_data=False, **options)
     finally:
         logging.disable(logging.NOTSET)

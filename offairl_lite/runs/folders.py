@@ -38,8 +38,8 @@ log = logging.getLogger(__name__)
 def create(
     folder: Path,
     spec: RunSpec,
-    given: Mapping[str, Policy | Reward],
-    shown: Demonstrations | None = None,
+    inherited: Mapping[str, Policy | Reward],
+    demos: Demonstrations | None = None,
 ) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
 
@@ -47,14 +47,14 @@ def create(
     `given` is what the run has of other runs, as `inputs.load` returns it, `shown` demonstrations
     of which it keeps a copy.
     """
-    there = records.beginning(folder)
+    existing = records.beginning(folder)
     taken = FileExistsError(
         f"{folder} is not empty: `offairl resume {folder}` goes on with a run, if one is there; "
         "for a new one choose another --out, or remove it"
     )
-    if there == folder and any(folder.iterdir()):
+    if existing == folder and any(folder.iterdir()):
         raise taken
-    there, folder = there.resolve(), folder.resolve()
+    existing, folder = existing.resolve(), folder.resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     for path in folder.parent.glob(f".{escape(folder.name)}.*"):
         with suppress(FileNotFoundError):  # Who is not killed removes it, within a moment.
@@ -66,13 +66,13 @@ def create(
         (made / "curve.csv").write_text(records.HEADER)
         begun = {"state": "waiting", "step": 0, "wall_s": 0.0, "diverged": {}}
         write_json(made / "run.json", {**begun, **origin(Execution(**spec.execution))})
-        for name, thing in given.items():
-            thing.save(made / f"{name}.safetensors")
-        if shown is not None:
-            inputs.keep_demonstrations(made, shown)
+        for name, network in inherited.items():
+            network.save(made / f"{name}.safetensors")
+        if demos is not None:
+            inputs.keep_demonstrations(made, demos)
         spec.write(made)
         try:
-            if there != folder:
+            if existing != folder:
                 os.replace(made, folder)
                 return
             # It may be a mount. A folder is a run once it has its configuration.
@@ -98,24 +98,24 @@ def work(
     if is_finished(folder):
         return
     demonstrations = inputs.demonstrations_of(folder, spec, demonstrations)
-    given, found = inputs.recorded(folder, spec), checkpoints.load(folder, spec)
+    inherited, checkpoint = inputs.recorded(folder, spec), checkpoints.load(folder, spec)
     with checkpoints.lock(folder):
-        if found is None:
+        if checkpoint is None:
             (folder / checkpoints.REPLAY).unlink(missing_ok=True)
             (folder / "curve.csv").write_text(records.HEADER)
         trainer = Trainer(
             spec.config,
             spec.seeds,
             demonstrations,
-            **given,
+            **inherited,
             execution=Execution(**spec.execution),
             replay_file=folder / checkpoints.REPLAY,
             memory=checkpoints.most_steps_between(spec),
         )
         with closing(trainer):
             worker = _Worker(folder, spec, trainer)
-            if found is not None:
-                worker.restore(found)
+            if checkpoint is not None:
+                worker.restore(checkpoint)
             worker.work(progress)
 
 
@@ -147,21 +147,23 @@ class _Worker:
         self.step, self.saved, self.start = 0, 0, time.monotonic()
         self.checksums = checkpoints.Checksums(trainer.collector.replay)
 
-    def restore(self, found: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    def restore(self, checkpoint: tuple[dict[str, Any], dict[str, Any]]) -> None:
         """Go back to a checkpoint; note versions or a machine that are not those of before."""
-        checkpoints.restore(self.folder, self.trainer, found, self.checksums)
-        self.start -= found[1]["wall_s"]
+        checkpoints.restore(self.folder, self.trainer, checkpoint, self.checksums)
+        self.start -= checkpoint[1]["wall_s"]
         self.step, self.saved = self.trainer.steps, self.done
-        now, about = origin(self.trainer.execution), read_state(self.folder)
-        past = about.get("continued", [])
-        if news := records.changed([about, *past][-1], now):
+        now, status = origin(self.trainer.execution), read_state(self.folder)
+        past = status.get("continued", [])
+        if news := records.changed([status, *past][-1], now):
             if news.keys() != {"commit"}:
-                said = "; ".join(
+                changes = "; ".join(
                     f"{key}: {here}, before {was}" for key, (was, here) in news.items()
                 )
-                log.warning("%s goes on from step %d with other %s", self.folder, self.step, said)
-            about["continued"] = [*past, {"step": self.step, **now}]
-            write_json(self.folder / "run.json", about)
+                log.warning(
+                    "%s goes on from step %d with other %s", self.folder, self.step, changes
+                )
+            status["continued"] = [*past, {"step": self.step, **now}]
+            write_json(self.folder / "run.json", status)
 
     def work(self, progress: bool) -> None:
         """Go on to the end."""
@@ -228,12 +230,12 @@ class _Worker:
 
     def note(self, state: str) -> None:
         """Write to run.json how things are."""
-        about = read_state(self.folder)
-        about |= {"state": state, "step": self.step, "diverged": self.trainer.members.diverged}
+        status = read_state(self.folder)
+        status |= {"state": state, "step": self.step, "diverged": self.trainer.members.diverged}
         curve = (self.folder / "curve.csv").read_bytes()
-        about["curve.csv"] = zlib.crc32(curve) if state == records.FINISHED else None
-        about["wall_s"] = round(time.monotonic() - self.start, 1)
-        write_json(self.folder / "run.json", about)
+        status["curve.csv"] = zlib.crc32(curve) if state == records.FINISHED else None
+        status["wall_s"] = round(time.monotonic() - self.start, 1)
+        write_json(self.folder / "run.json", status)
 
 
 def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
@@ -261,32 +263,32 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
             _require_new(folder, specs, seeds)
             new = [replace(next(iter(specs.values())), seeds=tuple(seeds))]
         replays = [path / checkpoints.REPLAY for path in specs]
-        there = sum(replay.stat().st_size for replay in replays if replay.is_file())
+        used = sum(replay.stat().st_size for replay in replays if replay.is_file())
         space = sum(map(checkpoints.disk_space, [*specs.values(), *new]))
-        checkpoints.require_room(folder, space - there)
+        checkpoints.require_room(folder, space - used)
         for spec in new:
             create(folder / records.seeds_name(seeds), spec, {})
         for path, spec in specs.items():
-            about, steps = read_state(path), spec.config.total_steps
+            status, steps = read_state(path), spec.config.total_steps
             # Once it waits to go on, the old number of steps makes it finished again.
-            if about["step"] and about["state"] in ("waiting", records.FINISHED):
-                state = records.FINISHED if about["step"] == steps else "waiting"
-                write_json(path / "run.json", about | {"state": state})
+            if status["step"] and status["state"] in ("waiting", records.FINISHED):
+                state = records.FINISHED if status["step"] == steps else "waiting"
+                write_json(path / "run.json", status | {"state": state})
             spec.write(path)
 
 
 def _require_new(folder: Path, specs: Mapping[Path, RunSpec], seeds: Sequence[int]) -> None:
     """Raise ValueError unless a run can have further members of these seeds."""
-    there = records.read(folder).seeds  # It refuses several configurations.
+    existing = records.read(folder).seeds  # It refuses several configurations.
     first = next(iter(specs.values()))
     if names := {**inputs.needed(first.config), **first.inherited}:
         raise ValueError(
             f"{folder} has of another run the {' and the '.join(names).replace('_', ' ')}, of "
-            f"{len(there)} members and none for further seeds: start a run of its own"
+            f"{len(existing)} members and none for further seeds: start a run of its own"
         )
     checked("seeds", tuple(seeds), tuple[Natural, ...])
-    if len({*there, *seeds}) < len(there) + len(seeds):
-        raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(there)}")
+    if len({*existing, *seeds}) < len(existing) + len(seeds):
+        raise ValueError(f"seeds {list(seeds)} are not all new: there are {list(existing)}")
 
 
 def verify(
@@ -320,8 +322,8 @@ def verify(
             progress=progress,
             on_evaluation=keep,
         )
-    there = {(row.seed, row.step): row for row in rows if row.step == first}
-    return {key: (there.get(key), here.get(key)) for key in there | here}
+    before = {(row.seed, row.step): row for row in rows if row.step == first}
+    return {key: (before.get(key), here.get(key)) for key in before | here}
 
 
 def main() -> None:

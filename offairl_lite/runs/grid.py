@@ -36,14 +36,14 @@ def options(config: Config) -> dict[str, Any]:
     fields: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     for name, (_, default, group) in known.items():
         value = flat.get(name, default)
-        shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        note = f"(default: {shown})" if name in flat else f"(default, where it has a use: {shown})"
-        about = arg(help=texts[name], help_behavior_hint=note)
-        fields[group][name] = Annotated[plain[name], about]
+        text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        note = f"(default: {text})" if name in flat else f"(default, where it has a use: {text})"
+        help_text = arg(help=texts[name], help_behavior_hint=note)
+        fields[group][name] = Annotated[plain[name], help_text]
     typed_dict: Any = TypedDict
     return {
-        group: Annotated[typed_dict(group, own, total=False), OmitArgPrefixes]
-        for group, own in fields.items()
+        group: Annotated[typed_dict(group, settings, total=False), OmitArgPrefixes]
+        for group, settings in fields.items()
     }
 
 
@@ -52,8 +52,8 @@ def docstrings() -> dict[str, str]:
     texts = dict(HELP)
     for base in GROUPS.values():
         for kind in kinds(base).values():
-            own = [parent for parent in kind.__mro__ if parent.__module__ != "builtins"]
-            for field in (field for parent in own for field in parse_from_object(parent).params):
+            bases = [parent for parent in kind.__mro__ if parent.__module__ != "builtins"]
+            for field in (field for parent in bases for field in parse_from_object(parent).params):
                 name = kind.renamed.get(field.arg_name, field.arg_name)
                 texts.setdefault(name, " ".join((field.description or "").split()))
     return {name: texts[name] for name in flat_settings()}
@@ -73,26 +73,26 @@ def points(
     """
     base, variants = experiment.configs[scale], experiment.variants or {"": {}}
     if unknown := set(only) - set(variants):
-        there = ", ".join(variants) or "none, since the experiment is one run"
-        raise ValueError(f"no runs {sorted(unknown)}; there are: {there}")
-    found = {}
+        known = ", ".join(variants) or "none, since the experiment is one run"
+        raise ValueError(f"no runs {sorted(unknown)}; there are: {known}")
+    selected = {}
     for variant in only or variants:
         changes = variants[variant]
-        lost = sorted(n for n in changes.keys() & chosen.keys() if changes[n] != chosen[n])
-        if lost:
+        conflicts = sorted(n for n in changes.keys() & chosen.keys() if changes[n] != chosen[n])
+        if conflicts:
             raise ValueError(
-                f"{variant} sets {' and '.join(lost)} itself: vary that with --grid, which comes "
-                "last, or choose other runs with --only"
+                f"{variant} sets {' and '.join(conflicts)} itself: vary that with --grid, which "
+                "comes last, or choose other runs with --only"
             )
-        asked = {**changes, **chosen}
-        used = used_settings(base.flat() | asked)
-        config = base.change(**{name: value for name, value in asked.items() if name in used})
+        settings = {**changes, **chosen}
+        used = used_settings(base.flat() | settings)
+        config = base.change(**{name: value for name, value in settings.items() if name in used})
         for name, point in grid(config, axes).items():
-            found[",".join(filter(None, (variant, name)))] = point
+            selected[",".join(filter(None, (variant, name)))] = point
     for name, value in chosen.items():
-        if not any(name in point.flat() for point in found.values()):
-            next(iter(found.values())).change(**{name: value})  # It says why that has no use.
-    return found
+        if not any(name in point.flat() for point in selected.values()):
+            next(iter(selected.values())).change(**{name: value})  # It says why that has no use.
+    return selected
 
 
 def grid(config: Config, axes: Sequence[str]) -> dict[str, Config]:
@@ -110,16 +110,16 @@ def grid(config: Config, axes: Sequence[str]) -> dict[str, Config]:
         if name not in known:
             raise ValueError(f"no setting {name!r} to vary; there are: {', '.join(known)}")
         values[name] = [(name, _value(name, text, known[name][0])) for text in texts.split(",")]
-    found: dict[str, Config] = {}
+    configs: dict[str, Config] = {}
     for point in itertools.product(*values.values()):
         title = ",".join(f"{name}={_text(value)}" for name, value in point).replace("/", "-")
-        if title in found:
+        if title in configs:
             raise ValueError(f"{title} is in the grid twice: give every value once")
         try:
-            found[title] = config.change(**dict(point))
+            configs[title] = config.change(**dict(point))
         except ValueError as error:
             raise ValueError(f"{title}: {error}" if title else str(error)) from error
-    return found
+    return configs
 
 
 def _text(value: Any) -> str:

@@ -54,7 +54,7 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     Several `files`, or folders of runs, become one population; guides take turns if they are fewer
     than the seeds. ValueError says that a file is needed and not given, or holds something else.
     """
-    found = {}
+    loaded = {}
     optional = {"pretrained_reward": Reward} if files.get("pretrained_reward") else {}
     for name, kind in {**needed(config), **optional}.items():
         if not files.get(name):
@@ -62,10 +62,10 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
                 f"a {name.replace('_', ' ')} of another run is needed: give "
                 f"--{name.replace('_', '-')} RUN/{file_name(kind)}, or RUN"
             )
-        found[name] = join([load_one(path, kind) for path in files[name]])
+        loaded[name] = join([load_one(path, kind) for path in files[name]])
         if name == "guide":
-            found[name] = _in_turn(found[name], range(len(seeds)))
-    return found
+            loaded[name] = _in_turn(loaded[name], range(len(seeds)))
+    return loaded
 
 
 def why_no_reward(config: Config) -> str | None:
@@ -92,25 +92,25 @@ def load_one(path: Any, kind: Any, step: int | None = None) -> Any:
             raise ValueError(f"{path} is no run's folder, in which there are steps: leave out step")
         return kind.load(path / file_name(kind) if path.is_dir() else path)
     run = read(path, step)
-    found = run.policy if kind is Policy else run.reward
-    if found is None and kind is Reward and (why := why_no_reward(run.config)):
+    network = run.policy if kind is Policy else run.reward
+    if network is None and kind is Reward and (why := why_no_reward(run.config)):
         raise ValueError(f"{path} has no reward to use again: {why}")
-    if found is None:
+    if network is None:
         raise FileNotFoundError(
             f"{path} has no {file_name(kind)}, which is written at the end of a run: "
             f"{again(path, RunSpec.read(run_folders(path)[0]))} goes on to it (not every record "
             "keeps its own)"
         )
     if run.diverged:
-        lost = f"{path} has seeds that diverged, {run.diverged}"
+        failed = f"{path} has seeds that diverged, {run.diverged}"
         if len(run.diverged) == len(run.seeds):
-            raise ValueError(f"{lost}: there is nothing to use")
-        log.warning(f"{lost}; members are then worth nothing: choose others")
-    return found
+            raise ValueError(f"{failed}: there is nothing to use")
+        log.warning(f"{failed}; members are then worth nothing: choose others")
+    return network
 
 
-def _in_turn(thing: Any, members: Iterable[int]) -> Any:
-    return thing.member(*(member % len(thing) for member in members))
+def _in_turn(network: Any, members: Iterable[int]) -> Any:
+    return network.member(*(member % len(network) for member in members))
 
 
 def inherited(
@@ -119,8 +119,8 @@ def inherited(
     """Return what `config.json` says of things from other runs: all of the files', or `members`."""
     part = {} if members is None else {"members": [*members]}
     return {
-        name: {"files": _paths(files.get(name, ())), **part, "digest": digest_of(thing)}
-        for name, thing in things.items()
+        name: {"files": _paths(files.get(name, ())), **part, "digest": digest_of(network)}
+        for name, network in things.items()
     }
 
 
@@ -134,21 +134,21 @@ def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
 
     A record may lack the copies. They are then made again from the files that the run names.
     """
-    found = {}
+    loaded = {}
     optional = {n: Reward for n in spec.inherited if n == "pretrained_reward"}
     for name, kind in {**needed(spec.config), **optional}.items():
-        copy, about = folder / f"{name}.safetensors", spec.inherited.get(name, {})
-        where = [copy] if copy.is_file() else about.get("files") or [copy]
-        thing = join([load_one(file, kind) for file in where])
+        copy, source = folder / f"{name}.safetensors", spec.inherited.get(name, {})
+        where = [copy] if copy.is_file() else source.get("files") or [copy]
+        network = join([load_one(file, kind) for file in where])
         if where != [copy]:
-            thing = _in_turn(thing, about.get("members") or range(len(spec.seeds)))
-        if about and digest_of(thing) != about["digest"]:
+            network = _in_turn(network, source.get("members") or range(len(spec.seeds)))
+        if source and digest_of(network) != source["digest"]:
             raise ValueError(
                 f"{' and '.join(map(str, where))} is not the {name.replace('_', ' ')} that "
                 f"{folder} began with: put that back, or start a new run"
             )
-        found[name] = thing
-    return found
+        loaded[name] = network
+    return loaded
 
 
 def describe(demonstrations: Demonstrations | None) -> dict[str, Any] | None:
@@ -160,40 +160,42 @@ def describe(demonstrations: Demonstrations | None) -> dict[str, Any] | None:
 
 
 def demonstrations_of(
-    folder: Path, spec: RunSpec, given: Demonstrations | None = None
+    folder: Path, spec: RunSpec, demos: Demonstrations | None = None
 ) -> Demonstrations | None:
     """Return the demonstrations that a run began with, loaded if they are not given.
 
     ValueError says that they have changed since, or that there is nothing to load them from.
     """
-    if (shown := spec.demonstrations) is None:
+    if (source := spec.demonstrations) is None:
         return None
-    if given is None and (copy := folder / COPY).is_file():
+    if demos is None and (copy := folder / COPY).is_file():
         tensors, _ = load_weights(copy, "demonstrations")
         lengths, returns = (tuple(tensors.pop(name).tolist()) for name in ("lengths", "returns"))
-        given = Demonstrations(spec.config.env_id, Batch(**tensors), lengths, returns)
-    elif given is None:
-        if "dataset" not in shown:
+        demos = Demonstrations(spec.config.env_id, Batch(**tensors), lengths, returns)
+    elif demos is None:
+        if "dataset" not in source:
             raise ValueError(
                 f"{folder} began with demonstrations that `demonstrations.load` did not make: give "
                 "the same to `folders.work` again"
             )
         # Older runs do not say how they were thinned, nor of how many experts they are.
-        rest = shown["dataset"], shown.get("subsample", 1), shown.get("experts")
-        given = data.load(spec.config.env_id, shown["trajectories"], *rest)
-    if digest(given.transitions._asdict()) != shown["digest"]:
-        whose = shown.get("dataset", "elsewhere") or "the shipped experts"
+        rest = source["dataset"], source.get("subsample", 1), source.get("experts")
+        demos = data.load(spec.config.env_id, source["trajectories"], *rest)
+    if digest(demos.transitions._asdict()) != source["digest"]:
+        whose = source.get("dataset", "elsewhere") or "the shipped experts"
         raise ValueError(
-            f"{len(given)} trajectories from {whose} are not those that {folder} began with: bring "
+            f"{len(demos)} trajectories from {whose} are not those that {folder} began with: bring "
             "them back, or start a new run"
         )
-    return given
+    return demos
 
 
-def keep_demonstrations(folder: Path, shown: Demonstrations) -> None:
+def keep_demonstrations(folder: Path, demos: Demonstrations) -> None:
     """Put a copy of demonstrations into a run folder that is being made."""
-    own = {"lengths": torch.tensor(shown.lengths), "returns": torch.tensor(shown.returns)}
-    save_weights(folder / COPY, {**shown.transitions._asdict(), **own}, {"kind": "demonstrations"})
+    episodes = {"lengths": torch.tensor(demos.lengths), "returns": torch.tensor(demos.returns)}
+    save_weights(
+        folder / COPY, {**demos.transitions._asdict(), **episodes}, {"kind": "demonstrations"}
+    )
 
 
 def digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:

@@ -69,7 +69,7 @@ def execute(
     """
     if engine == "processes" and address is not None:
         raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")
-    stop, shown = threading.Event(), (0, "")
+    stop, progress = threading.Event(), (0, "")
     failures: list[str] = []
 
     def job(attempt: Attempt, folder: Path) -> None:
@@ -101,8 +101,8 @@ def execute(
                 step = sum(_from(folder / "run.json").get("step", 0) for folder in folders)
                 now = step, f"{done} done, {len(failures)} failed"
                 # A clock that ticks is welcome on a terminal, and fills a log file.
-                if sys.stderr.isatty() or now != shown:
-                    bar.n, shown = now[0], now
+                if sys.stderr.isatty() or now != progress:
+                    bar.n, progress = now[0], now
                     bar.set_postfix_str(now[1])
         except BaseException:
             stop.set()
@@ -169,24 +169,24 @@ def _on_ray(address: str | None, gpus: float) -> Iterator[Attempt]:
         raise ValueError("Ray is not installed: pip install -e '.[ray]', in a clone") from None
     owned = not ray.is_initialized()
     if owned:
-        own: dict[str, Any] = {}
+        options: dict[str, Any] = {}
         if address is None:
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-            own["include_dashboard"] = False
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+            options["include_dashboard"] = False
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **options)
     # A task is repeated by Ray where its node dies. How a job fails is answered in `execute`.
     task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=1)(_task)
 
     def attempt(folder: Path, stop: threading.Event) -> str:
         folder = folder.absolute()
-        found = task.remote(folder, command(folder), version("offairl-lite"))
-        while not ray.wait([found], timeout=min(POLL_S, 0.2))[0]:
+        result = task.remote(folder, command(folder), version("offairl-lite"))
+        while not ray.wait([result], timeout=min(POLL_S, 0.2))[0]:
             if stop.is_set():
-                ray.cancel(found)
-                ray.wait([found], timeout=2 * GRACE_S)
+                ray.cancel(result)
+                ray.wait([result], timeout=2 * GRACE_S)
                 return "stopped"
         try:
-            return ray.get(found)
+            return ray.get(result)
         except ray.exceptions.RayTaskError as error:
             raise error.cause from None
         except ray.exceptions.RayError as error:  # a node or a worker that died, twice
@@ -203,8 +203,8 @@ def _on_ray(address: str | None, gpus: float) -> Iterator[Attempt]:
 
 def _task(folder: Path, command: list[str], expected: str) -> str:
     """Run a job on a node of a cluster; return how it failed, or nothing."""
-    if (found := version("offairl-lite")) != expected:
-        raise ValueError(f"{platform.node()} has offairl-lite {found}: install {expected} there")
+    if (here := version("offairl-lite")) != expected:
+        raise ValueError(f"{platform.node()} has offairl-lite {here}: install {expected} there")
     # Ray's workers hold SIGINT back, and a child would inherit that.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     return _child(folder, command, threading.Event())

@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 from offairl_lite import demonstrations, envs
 from offairl_lite.config import Config, DiscriminatorConfig, differences
 from offairl_lite.config.settings import Count, Natural, checked
-from offairl_lite.core.acceleration import choose_execution, is_large
+from offairl_lite.core.acceleration import Execution, choose_execution, is_large
 from offairl_lite.core.results import Run
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, find
@@ -30,8 +30,8 @@ CHECKPOINT_EVERY = 2_000
 
 
 @dataclass(frozen=True)
-class Given:
-    """What new runs are given beside their configuration.
+class RunInputs:
+    """What new runs have beside their configuration.
 
     Args:
         dataset: A Minari data set to imitate; by default the shipped experts'.
@@ -68,7 +68,17 @@ class Given:
         """The files of other runs, by the names that `inputs.load` has for them."""
         return {name: getattr(self, name) for name in inputs.CURES}
 
-    def require_use(self, configs: Iterable[Config], default: "Given") -> None:
+    def load_demonstrations(self, env_id: str) -> Demonstrations:
+        """Return the demonstrations of a task that new runs imitate."""
+        return demonstrations.load(
+            env_id, self.trajectories, self.dataset, self.subsample, self.experts
+        )
+
+    def execution(self, config: Config) -> Execution:
+        """Return where, and how, a configuration is trained."""
+        return choose_execution(config, self.device, self.threads, self.compile)
+
+    def require_use(self, configs: Iterable[Config], default: "RunInputs") -> None:
         """Raise ValueError where no configuration makes use of what is not the default."""
         configs = list(configs)
         needed = {name for config in configs for name in inputs.needed(config)}
@@ -77,8 +87,8 @@ class Given:
         cures = inputs.CURES.items()
         unused = {name: f": add {cure}, or" for name, cure in cures if name not in needed}
         if not any(config.imitates for config in configs):
-            shown = ("dataset", "trajectories", "subsample", "experts")
-            unused |= dict.fromkeys(shown, ", since no reward is learned:")
+            names = ("dataset", "trajectories", "subsample", "experts")
+            unused |= dict.fromkeys(names, ", since no reward is learned:")
         elif self.dataset is not None:
             unused["experts"] = f", since {self.dataset} is by none of the shipped ones:"
         for name, why in unused.items():
@@ -90,8 +100,8 @@ class Given:
 
 def run_command(name: str, size: Scale) -> Callable[..., None]:
     """Return `offairl run`, with the defaults of one experiment at one scale."""
-    own, defaults = find(name), (name, size)
-    default = Given(experts=own.experts[size])
+    defined, defaults = find(name), (name, size)
+    default = RunInputs(experts=defined.experts[size])
 
     def run(
         experiment: str,
@@ -99,13 +109,13 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         scale: Scale = size,
         grid: Annotated[tuple[str, ...], UseAppendAction] = (),
         only: tuple[str, ...] = (),
-        seeds: tuple[int, ...] = own.seeds[size],
+        seeds: tuple[int, ...] = defined.seeds[size],
         out: Path | None = None,
         prepare: bool = False,
         processes: int | None = None,
         engine: jobs.Engine = "processes",
         address: str | None = None,
-        given: Annotated[Given, OmitArgPrefixes] = default,
+        run_inputs: Annotated[RunInputs, OmitArgPrefixes] = default,
         schedule: Any,
         learner: Any,
         discriminator: Any,
@@ -142,26 +152,26 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
         checked("processes", processes, Count | None)
         if not seeds:
             raise ValueError("seeds are (); expected at least one: --seeds 0 1 2")
-        configs = points(own, scale, {**schedule, **learner, **discriminator}, grid, only)
+        configs = points(defined, scale, {**schedule, **learner, **discriminator}, grid, only)
         for config in configs.values():
             envs.spec(config.env_id)  # It imports a module that is named.
         frozen = any(config.reward == "frozen" for config in configs.values())
-        if frozen and own.reward_from and not given.frozen_reward:
-            raise ValueError(f"{name} is paid by {_reward_of(own.reward_from, scale)}")
-        given.require_use(configs.values(), default)
+        if frozen and defined.reward_from and not run_inputs.frozen_reward:
+            raise ValueError(f"{name} is paid by {_reward_of(defined.reward_from, scale)}")
+        run_inputs.require_use(configs.values(), default)
         place = out or Path("runs") / f"{'sweep-' if grid else ''}{name}-{scale}"
         idle = 1 if prepare or engine == "ray" else jobs.cores()
-        each = (processes or idle) // len(configs) if given.device == "cpu" else 1
+        each = (processes or idle) // len(configs) if run_inputs.device == "cpu" else 1
         alone = processes is not None and len(configs) == 1
         spread = {n: each if alone or is_large(c.learner.hidden) else 1 for n, c in configs.items()}
-        data = _create(place, configs, seeds, given, spread, name, scale)
+        data = _create(place, configs, seeds, run_inputs, spread, name, scale)
         if not prepare:
-            how = {"engine": engine, "workers": processes, "address": address}
-            _finish(place, configs, data, **how, gpus=float(given.device != "cpu"))
+            engine_options = {"engine": engine, "workers": processes, "address": address}
+            _finish(place, configs, data, **engine_options, gpus=float(run_inputs.device != "cpu"))
 
     run.__annotations__ |= {
         "experiment": Positional[Literal[tuple(EXPERIMENTS)]],  # type: ignore
-        **options(own.configs[size]),
+        **options(defined.configs[size]),
     }
     return run
 
@@ -180,44 +190,53 @@ def _create(
     place: Path,
     configs: Mapping[str, Config],
     seeds: Sequence[int],
-    given: Given,
+    run_inputs: RunInputs,
     spread: Mapping[str, int],
     experiment: str,
     scale: Scale,
 ) -> dict[str, Demonstrations]:
     """Make the run folders that are not there yet; return the demonstrations, by task."""
     checked("seeds", tuple(seeds), tuple[Natural, ...])
-    missing = {n: _missing_seeds(place / n, configs[n], seeds, given) for n in configs}
+    missing = {n: _missing_seeds(place / n, configs[n], seeds, run_inputs) for n in configs}
     data: dict[str, Demonstrations] = {}
     todo = []
     for name, config in configs.items():
         if not missing[name]:
             continue
-        things, env_id, shown = inputs.load(config, seeds, **given.files), config.env_id, None
+        networks = inputs.load(config, seeds, **run_inputs.files)
+        env_id, demos = config.env_id, None
         notes = preflight.try_out(env_id, seeds[0])
         if config.imitates:
-            asked = given.trajectories, given.dataset, given.subsample, given.experts
-            shown = data[env_id] = data.get(env_id) or demonstrations.load(env_id, *asked)
-        execution = choose_execution(config, given.device, given.threads, given.compile)
-        for note in notes + preflight.check(config, seeds, shown, things):
+            demos = data[env_id] = data.get(env_id) or run_inputs.load_demonstrations(env_id)
+        execution = run_inputs.execution(config)
+        for note in notes + preflight.check(config, seeds, demos, networks):
             print(f"note: {note}", file=sys.stderr)
-        for what, thing in things.items():
-            one, other = (task.split(":")[-1] for task in (thing.env_id, env_id))
+        for option, network in networks.items():
+            one, other = (task.split(":")[-1] for task in (network.env_id, env_id))
             if one != other and not find(experiment).reward_from:  # These experiments mean it.
-                note = f"note: the {what} is of {one}, this run of {other}; only sizes are checked"
-                print(note.replace("_", " "), file=sys.stderr)
+                name_of = option.replace("_", " ")
+                note = f"the {name_of} is of {one}, this run of {other}; only sizes are checked"
+                print(f"note: {note}", file=sys.stderr)
         parts = max(min(spread[name], len(missing[name])), 1)
         for part in np.array_split(missing[name], parts):
-            some, folder, own, members = tuple(part.tolist()), place / name, things, None
+            some, folder, mine, members = tuple(part.tolist()), place / name, networks, None
             if len(some) < len(seeds):
                 folder, members = folder / seeds_name(some), [seeds.index(seed) for seed in some]
-                own = {name: thing.member(*members) for name, thing in things.items()}
-            inherited = inputs.inherited(own, given.files, members)
-            how = asdict(execution), inputs.describe(shown), CHECKPOINT_EVERY
-            todo.append((folder, RunSpec(config, some, *how, experiment, scale, inherited), own))
+                mine = {name: network.member(*members) for name, network in networks.items()}
+            spec = RunSpec(
+                config,
+                some,
+                asdict(execution),
+                inputs.describe(demos),
+                CHECKPOINT_EVERY,
+                experiment,
+                scale,
+                inputs.inherited(mine, run_inputs.files, members),
+            )
+            todo.append((folder, spec, mine))
     checkpoints.require_room(place, sum(checkpoints.disk_space(spec) for _, spec, _ in todo))
-    for folder, spec, own in todo:
-        folders.create(folder, spec, own)
+    for folder, spec, mine in todo:
+        folders.create(folder, spec, mine)
         space = checkpoints.in_words(checkpoints.disk_space(spec))
         updates = "compiled" if spec.execution["compile"] else "not compiled"
         watch = f"to watch it: {folder / records.PICTURE}"
@@ -226,28 +245,29 @@ def _create(
 
 
 def _missing_seeds(
-    folder: Path, config: Config, seeds: Sequence[int], given: Given
+    folder: Path, config: Config, seeds: Sequence[int], run_inputs: RunInputs
 ) -> tuple[int, ...]:
     """Return the seeds that a run does not have yet; raise ValueError if it is of another kind."""
-    there: list[int] = []
-    now = vars(given) | {name: [*map(str, paths)] for name, paths in given.files.items()}
-    now["experts"] = None if given.dataset else given.experts
-    for path in records.found(folder):
+    existing: list[int] = []
+    now = vars(run_inputs) | {name: [*map(str, paths)] for name, paths in run_inputs.files.items()}
+    now["experts"] = None if run_inputs.dataset else run_inputs.experts
+    for path in records.folders_in(folder):
         spec = RunSpec.read(path)
-        files = {name: about["files"] for name, about in spec.inherited.items() if about["files"]}
+        files = {name: of["files"] for name, of in spec.inherited.items() if of["files"]}
         was = {**(spec.demonstrations or {}), **files}
-        found = {name: (was[name], now[name]) for name in now if name in was}
-        found |= differences(spec.config, config)
+        changes = {name: (was[name], now[name]) for name in now if name in was}
+        changes |= differences(spec.config, config)
         if not set(spec.seeds) <= set(seeds):
-            found["seeds"] = spec.seeds, tuple(seeds)
-        said = [f"{name} {old!r}, not {new!r}" for name, (old, new) in found.items() if old != new]
-        if said:
+            changes["seeds"] = spec.seeds, tuple(seeds)
+        changed = {name: pair for name, pair in changes.items() if pair[0] != pair[1]}
+        if changed:
             cure, steps = "give the same, or choose another --out", config.total_steps
-            if len(said) == 1 and spec.config.total_steps < steps:
+            if len(changed) == 1 and spec.config.total_steps < steps:
                 cure = f"{records.again(path, spec, f'resume --steps {steps}')} extends it"
-            raise ValueError(f"{path} is a run with {', '.join(said)}: {cure}")
-        there += spec.seeds
-    return tuple(seed for seed in seeds if seed not in there)
+            said = ", ".join(f"{name} {old!r}, not {new!r}" for name, (old, new) in changed.items())
+            raise ValueError(f"{path} is a run with {said}: {cure}")
+        existing += spec.seeds
+    return tuple(seed for seed in seeds if seed not in existing)
 
 
 def resume(
@@ -285,7 +305,7 @@ def resume(
 
 
 def _finish(
-    place: Path, names: Iterable[str], data: Mapping[str, Demonstrations], **how: Any
+    place: Path, names: Iterable[str], data: Mapping[str, Demonstrations], **job_options: Any
 ) -> None:
     """Train run folders to their ends, one of them in this process, and show what came of it."""
     todo = [path for name in names for path in run_folders(place / name)]
@@ -293,10 +313,10 @@ def _finish(
     specs = [folders.known(path) for path in left]
     failures: list[str] = []
     try:
-        if len(left) == 1 and how.get("engine", "processes") == "processes":
+        if len(left) == 1 and job_options.get("engine", "processes") == "processes":
             folders.work(left[0], demonstrations=data.get(specs[0].config.env_id))
         elif left:
-            failures = jobs.execute(left, **how)
+            failures = jobs.execute(left, **job_options)
     except KeyboardInterrupt:
         sys.exit(f"offairl: stopped; {records.again(place, specs[0])} goes on")
     if failures:
@@ -312,10 +332,10 @@ def _finish(
             f"{len(failures)} of {len(left)} jobs failed, twice: see above; "
             f"{records.again(place, specs[0])} goes on with them"
         )
-    lost = [why for run in runs.values() for why in run.diverged.values()]
-    if lost and (len(runs) == 1 or any(len(r.diverged) == len(r.seeds) for r in runs.values())):
+    reasons = [why for run in runs.values() for why in run.diverged.values()]
+    if reasons and (len(runs) == 1 or any(len(r.diverged) == len(r.seeds) for r in runs.values())):
         again = "" if left else ". It is not tried again: start a new run"
-        raise FloatingPointError("; ".join(lost) + again)
+        raise FloatingPointError("; ".join(reasons) + again)
 
 
 def _table(runs: Mapping[str, Run]) -> str:
@@ -329,8 +349,8 @@ def _table(runs: Mapping[str, Run]) -> str:
     for name, rows in ends.items():
         returns = [row.mean_return for row in rows]
         numbers = [sum(returns) / len(returns), min(returns), max(returns)] if returns else []
-        shown = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
-        lost = runs[name].diverged
-        note = f" (diverged: {' '.join(map(str, lost))})" if lost else ""
-        lines.append(f"{min((row.step for row in rows), default=0):9,} {shown}  {name}{note}")
+        text = " ".join(f"{x:10.2f}" for x in numbers) or " ".join([f"{'-':>10}"] * 3)
+        failed = runs[name].diverged
+        note = f" (diverged: {' '.join(map(str, failed))})" if failed else ""
+        lines.append(f"{min((row.step for row in rows), default=0):9,} {text}  {name}{note}")
     return "\n".join(lines)

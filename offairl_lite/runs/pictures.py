@@ -25,13 +25,13 @@ LEARNED = "return, by the frozen reward:\nit should rise"
 
 def numbers(row: Row, before: Row) -> dict[str, float]:
     """Return what is drawn of an evaluation, by its title; NaN where there is none."""
-    found, episodes = row.metrics.get, row.episodes - before.episodes
-    gap = found("expert_logit", math.nan) - found("policy_logit", math.nan)
+    metric, episodes = row.metrics.get, row.episodes - before.episodes
+    gap = metric("expert_logit", math.nan) - metric("policy_logit", math.nan)
     return {
         RETURN: row.mean_return,
         LEARNED: row.learned_return,
         "logit gap, expert minus policy:\na few nats, it should shrink": gap,
-        "entropy of the verdict:\nit should rise": found("entropy", math.nan),
+        "entropy of the verdict:\nit should rise": metric("entropy", math.nan),
         "steps of an episode in training:\nabout as many as demonstrated": (
             (row.step - before.step) / episodes if episodes else math.nan
         ),
@@ -48,14 +48,14 @@ def draw(folder: Path) -> None:
     start = Row(0, 0, 0, math.nan, (), math.nan, {})
     members = [[start, *(row for row in run.rows if row.seed == seed)] for seed in run.seeds]
     drawn = [[numbers(row, before) for before, row in pairwise(rows)] for rows in members]
-    shown = {k: [[at[k] for at in row] for row in drawn] for k in numbers(start, start)}
-    shown = {k: y for k, y in shown.items() if np.nan_to_num(np.concatenate(y)).any()}
+    panels = {k: [[at[k] for at in row] for row in drawn] for k in numbers(start, start)}
+    panels = {k: y for k, y in panels.items() if np.nan_to_num(np.concatenate(y)).any()}
     if run.config.reward != "frozen":
-        shown.pop(LEARNED, None)
-    if not shown:
+        panels.pop(LEARNED, None)
+    if not panels:
         return
-    below = [title for title in shown if title != RETURN]
-    mosaic: Any = [[RETURN] * (len(below) or 1)] * (RETURN in shown) + [below] * bool(below)
+    below = [title for title in panels if title != RETURN]
+    mosaic: Any = [[RETURN] * (len(below) or 1)] * (RETURN in panels) + [below] * bool(below)
     with plots.style():
         # Where panels and margins are is said here: to find it out would double the time it takes.
         height = 2.5 * len(mosaic) + 0.8
@@ -65,7 +65,7 @@ def draw(folder: Path) -> None:
         edges = {"left": 0.07, "right": 0.98, "bottom": 0.75 / height, "top": 1 - 0.75 / height}
         places = figure.subplot_mosaic(mosaic, gridspec_kw={**edges, "hspace": 0.5, "wspace": 0.25})
         for title, axes in places.items():
-            for i, ((_, *rows), y) in enumerate(zip(members, shown[title], strict=True)):
+            for i, ((_, *rows), y) in enumerate(zip(members, panels[title], strict=True)):
                 x, line = [row.step for row in rows], "--" if i % 10 > 4 else "-"
                 axes.plot(
                     x, y, line, color=COLOURS[i % 5], marker=".", label=f"seed {run.seeds[i]}"
@@ -76,10 +76,10 @@ def draw(folder: Path) -> None:
         if len(run.seeds) <= 10:
             seeds = axes.get_legend_handles_labels()
             figure.legend(*seeds, loc="lower center", ncols=10, columnspacing=1, handlelength=1.5)
-        lost = f"; diverged: {', '.join(map(str, run.diverged))}" if run.diverged else ""
+        failed = f"; diverged: {', '.join(map(str, run.diverged))}" if run.diverged else ""
         step, total = (f"{n:,}" for n in (run.steps[-1], run.config.total_steps))
         name = f"{folder.absolute().name} on {run.config.env_id}"
-        figure.suptitle(f"{name}: step {step} of {total}{lost}")
+        figure.suptitle(f"{name}: step {step} of {total}{failed}")
         canvas.draw()
     # Few colours will do, and make the file a third as large.
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(64)

@@ -43,7 +43,7 @@ def try_out(env_id: str, seed: int) -> list[str]:
 
 
 def check(
-    config: Config, seeds: Sequence[int], shown: Demonstrations | None, things: Mapping[str, Any]
+    config: Config, seeds: Sequence[int], demos: Demonstrations | None, networks: Mapping[str, Any]
 ) -> list[str]:
     """Return what a user should know of a run on `shown` and `things` of other runs.
 
@@ -54,21 +54,25 @@ def check(
     env: Any = SimpleNamespace(
         single_observation_space=seen, single_action_space=Box(-ones, ones), close=lambda: None
     )
-    given = {name: things.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")}
-    require_inputs(config, seeds, shown, **given)
-    frozen, policy, guide = given.values()
-    require_match(config, seeds, env, shown, frozen, policy, things.get("pretrained_reward"), guide)
-    if shown is None:
+    inherited = {
+        name: networks.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")
+    }
+    require_inputs(config, seeds, demos, **inherited)
+    frozen, policy, guide = inherited.values()
+    require_match(
+        config, seeds, env, demos, frozen, policy, networks.get("pretrained_reward"), guide
+    )
+    if demos is None:
         return []
-    episode_length(config, shown)
-    notes, ends = [], int(shown.transitions.terminated.sum())
-    own = (shown.source or {"dataset": ""})["dataset"] is not None
-    if ends and own and config.schedule.absorbing == "none":
+    episode_length(config, demos)
+    notes, ends = [], int(demos.transitions.terminated.sum())
+    own_data = (demos.source or {"dataset": ""})["dataset"] is not None
+    if ends and own_data and config.schedule.absorbing == "none":
         notes.append(
-            f"{ends} of {len(shown)} demonstrations terminate; absorbing is none: see "
+            f"{ends} of {len(demos)} demonstrations terminate; absorbing is none: see "
             '"Two questions" in book/recipe.md'
         )
-    if sees_actions(config) and (np.ptp(shown.transitions.action.numpy(), axis=0) == 0).all():
+    if sees_actions(config) and (np.ptp(demos.transitions.action.numpy(), axis=0) == 0).all():
         notes.append(
             f"all demonstrated actions are the same, and with reward={config.reward!r} they tell "
             "the expert from the policy: where actions are not known, use the recipe "

@@ -117,12 +117,12 @@ class RunSpec:
 
 def run_folders(folder: str | PathLike) -> list[Path]:
     """Return a run folder, if it is one, and those below it, in the order of their seeds."""
-    if not (there := found(Path(folder))):
+    if not (folders := folders_in(Path(folder))):
         RunSpec.read(folder)  # It says what is missing.
-    return there
+    return folders
 
 
-def found(folder: Path) -> list[Path]:
+def folders_in(folder: Path) -> list[Path]:
     """Return what `run_folders` does; nothing if there is none."""
     # A name that begins with a dot is of a run that is being made, or of one that was not.
     seeds = {
@@ -156,10 +156,10 @@ def read(folder: str | PathLike, step: int | None = None) -> Run:
     rows: list[Row] = []
     ends = set[bool]()
     for path in specs:
-        about = read_state(path) if (path / "run.json").is_file() else {"diverged": {}}
-        ends.add(about.get("state", FINISHED) in (FINISHED, DIVERGED))
-        diverged |= {int(seed): why for seed, why in about["diverged"].items()}
-        rows += _rows(path / "curve.csv", about.get("curve.csv"))
+        status = read_state(path) if (path / "run.json").is_file() else {"diverged": {}}
+        ends.add(status.get("state", FINISHED) in (FINISHED, DIVERGED))
+        diverged |= {int(seed): why for seed, why in status["diverged"].items()}
+        rows += _rows(path / "curve.csv", status.get("curve.csv"))
     rows.sort(key=lambda row: (row.step, seeds.index(row.seed)))
     results = _results(Policy, specs), _results(Reward, specs)
     if step is not None:
@@ -256,20 +256,20 @@ def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
 
 def read_state(folder: Path) -> dict[str, Any]:
     """Read `run.json`; raise ValueError if it is gone or damaged."""
-    about = {"diverged": {}, **read_json(folder / "run.json")}
+    status = {"diverged": {}, **read_json(folder / "run.json")}
     try:
-        _require_types(about, state=str, step=int, diverged=dict)
+        _require_types(status, state=str, step=int, diverged=dict)
     except TypeError as error:
         raise damaged(folder, folder / "run.json", error) from error
-    return about
+    return status
 
 
 def _require_types(fields: dict[str, Any], **types: Any) -> None:
     """Raise TypeError unless there are fields of these types."""
     for name, wanted in types.items():
         if not isinstance(fields.get(name), wanted):
-            found, wanted = fields.get(name, "missing"), getattr(wanted, "__name__", wanted)
-            raise TypeError(f"{name} is {found!r}; expected {wanted}")
+            value, wanted = fields.get(name, "missing"), getattr(wanted, "__name__", wanted)
+            raise TypeError(f"{name} is {value!r}; expected {wanted}")
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -329,17 +329,17 @@ def _sync(path: Path) -> None:
 
 def beginning(folder: Path) -> Path:
     """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise NotADirectoryError(f"{there} is no folder: choose another --out")
-    return there
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise NotADirectoryError(f"{existing} is no folder: choose another --out")
+    return existing
 
 
-def require_format(path: Path, found: int, readable: int = FORMAT) -> None:
+def require_format(path: Path, format: int, readable: int = FORMAT) -> None:
     """Raise ValueError unless a file is of this version's format."""
-    if found != readable:
+    if format != readable:
         raise ValueError(
-            f"{path} has format {found}, and this version of the package reads format {readable}: "
+            f"{path} has format {format}, and this version of the package reads format {readable}: "
             "use the version that wrote it (run.json names it), or start a new run"
         )
 

@@ -43,6 +43,6 @@ def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) ->
                         if not math.isnan(value):  # As is the learned return without a reward.
                             writer.add_scalar(name, value, row.step)
         written |= {(row.seed, row.step) for row in rows}
-        if not follow or not {"waiting", "running"} & {about["state"] for about in abouts}:
+        if not follow or not {"waiting", "running"} & {run_state["state"] for run_state in abouts}:
             return len(written)
         time.sleep(POLL_S)

@@ -41,7 +41,7 @@ COMMANDS = {
     "verify": cli.verify,
 }
 SETTINGS = {*flat_settings(), "learner", "ablation"}
-GIVEN = {field.name for field in fields(launch.Given)}
+GIVEN = {field.name for field in fields(launch.RunInputs)}
 
 
 def blocks(language):
