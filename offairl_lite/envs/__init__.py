@@ -24,7 +24,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 
 from offairl_lite.config.settings import Count, checked
-from offairl_lite.envs.batched import BatchedEnv, member_seeds
+from offairl_lite.envs.batched import Batch, BatchedEnv, member_seeds
 from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
@@ -181,7 +181,8 @@ def make(
     """Return a vector environment with one member per seed, without automatic resets.
 
     `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
-    whose members are then stepped one after another. A single seed s stands for s, s + 1, ...
+    whose members are then stepped one after another; so are Gymnasium's of `TASKS` with MuJoCo 3. A
+    single seed s stands for s, s + 1, ...
 
     Members start when the first `reset()` is called. A finished member must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
@@ -197,7 +198,7 @@ def make(
     seeds = member_seeds(seed, population)
     if None in seeds:
         raise ValueError(f"seed is {seed}; expected a number, or one for each of {population}")
-    if checked("env_id", env_id, str) in TASKS:
+    if checked("env_id", env_id, str) in TASKS and (Batch or env_id.startswith("offairl/")):
         return BatchedEnv(
             env_id,
             population,

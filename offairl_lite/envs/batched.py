@@ -9,7 +9,6 @@ from gymnasium.spaces import Box
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from mujoco.batch import Batch
 
 from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.envs.raycast import render
@@ -17,6 +16,10 @@ from offairl_lite.envs.tasks import TASKS, Physics
 
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]
 """Observations, rewards, terminated, truncated, each over the members, and a dictionary."""
+try:
+    from mujoco.batch import Batch
+except ImportError:  # MuJoCo 3 has no batches.
+    Batch = None
 FRAME_SIZE = 240
 """Width and height of a rendered frame, in pixels."""
 
@@ -52,6 +55,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     ):
         if task not in TASKS:
             raise ValueError(f"unknown task {task!r}; known are {', '.join(TASKS)}")
+        if Batch is None:
+            raise ImportError(
+                f"{task} is stepped in batches, by MuJoCo 4, and here is MuJoCo "
+                f"{mujoco.__version__}: pip install 'mujoco>=4'"
+            )
         for name, count in (("num_envs", num_envs), ("num_threads", num_threads)):
             checked(name, count, Count)
         if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):

@@ -57,9 +57,8 @@ def _explained(error: Exception) -> str:
     )
     for name in packages_distributions().get(module, [])[:1]:
         said += (
-            f". That is {name} {version(name)}, with MuJoCo {mujoco.__version__}, which this "
-            f"package needs: if it was made for an older MuJoCo, install a version of {name} that "
-            "takes this one"
+            f". That is {name} {version(name)}, with MuJoCo {mujoco.__version__}: if it was made "
+            "for an older one, pip install 'mujoco<4', with which such tasks train here as well"
         )
     return said
 
