@@ -176,7 +176,7 @@ def watch(
     """Film one episode of a policy.
 
     Args:
-        what: a run's folder, a policy's file, or the id of a task with shipped experts.
+        source: a run's folder, a policy's file, or the id of a task with shipped experts.
         env_id: where the policy acts; by default where it was trained.
         member: which member of the population.
         seed: of the episode.

@@ -13,8 +13,9 @@ import torch
 from run_folders import create
 
 from offairl_lite import AIRL
+from offairl_lite.analysis import films
 from offairl_lite.core.results import Run
-from offairl_lite.runs import checkpoints, export, folders, pictures, records, tensorboard
+from offairl_lite.runs import checkpoints, cli, export, folders, pictures, records, tensorboard
 
 PLACES = [
     *((os, name) for name in ("replace", "rename", "unlink", "rmdir", "truncate", "mkdir")),
@@ -193,7 +194,31 @@ def test_a_copy_that_fails_anywhere_leaves_the_old_one_or_is_the_new_one(
     assert k > 3
 
 
-@pytest.mark.parametrize("command", ["export", "tensorboard", "load"])
+@pytest.mark.parametrize("command", ["watch", "clone"])
+def test_a_file_that_is_replaced_is_the_old_one_or_the_new_one(
+    command, finished, tmp_path, faults, monkeypatch
+):
+    monkeypatch.setattr(films, "mp4", lambda pictures, fps: b"a film")
+    out = tmp_path / ("film.mp4" if command == "watch" else "clone.safetensors")
+    do = {
+        "watch": lambda: cli.watch(str(finished), max_steps=1, out=out),
+        "clone": lambda: cli.clone(
+            "offairl/PointMazeLeft-v0", out=out, hidden=(4,), steps=10, eval_episodes=0
+        ),
+    }[command]
+    do()
+    new = out.read_bytes()
+    for k in itertools.count():
+        out.write_bytes(b"old")
+        failed = faults(k, do)
+        assert out.read_bytes() in (b"old", new)
+        if not failed:
+            break
+    assert k > 1
+    assert out.read_bytes() == new
+
+
+@pytest.mark.parametrize("command", ["export", "tensorboard", "load", "verify"])
 def test_what_only_reads_a_run_changes_nothing_in_it(command, finished, tmp_path, faults):
     """Even if it fails; given again, it does its work."""
     if command == "tensorboard":
@@ -203,6 +228,7 @@ def test_what_only_reads_a_run_changes_nothing_in_it(command, finished, tmp_path
         "export": lambda out: export.export(finished, out),
         "tensorboard": lambda out: tensorboard.export(finished, out, anew=True),
         "load": lambda out: AIRL.load(finished, folder=out),
+        "verify": lambda out: cli.verify(finished),
     }[command]
     for k in itertools.count():
         out = tmp_path / f"out-{k}"
