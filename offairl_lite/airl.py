@@ -1,10 +1,8 @@
 """`AIRL`: imitate demonstrations of a task, and learn their reward."""
 
 import shutil
-import uuid
 import weakref
-from collections.abc import Callable, Sequence
-from copy import deepcopy
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from difflib import get_close_matches
 from os import PathLike
@@ -12,7 +10,6 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 
@@ -27,7 +24,6 @@ from offairl_lite.runs import checkpoints, folders, inputs, preflight, records
 from offairl_lite.runs.export import InUnits
 from offairl_lite.runs.launch import CHECKPOINT_EVERY, RunInputs
 
-Task = str | gymnasium.Env | Callable[[], gymnasium.Env]
 Path_ = str | PathLike
 
 
@@ -54,7 +50,7 @@ class AIRL:
 
     def __init__(
         self,
-        env: Task,
+        env: envs.AnyTask,
         demonstrations: Any = None,
         *,
         seeds: int | Sequence[int] = 3,
@@ -81,7 +77,7 @@ class AIRL:
                     why = f"AIRL has no option {name!r}; did you mean {near[0]!r}?"
                     raise TypeError(why) from None
             raise
-        self.config = config.change(env_id=_task_id(env))
+        self.config = config.change(env_id=envs.register(env))
         notes = preflight.try_out(self.config.env_id, self.seeds[0])
         self.run_inputs, episodes = RunInputs(**chosen), demonstrations
         few = chosen.get("trajectories"), self.run_inputs.subsample, self.run_inputs.experts
@@ -180,7 +176,7 @@ class AIRL:
 
     def _member(self, seed: int | None) -> int:
         """Return the number of the member with a seed."""
-        left = [member_seed for member_seed in self.seeds if member_seed not in self.run.diverged]
+        left = [s for s in self.seeds if s not in self.run.diverged]
         if seed not in (None, *left) or not left:
             raise ValueError(f"seed is {seed}; there are {left} (diverged: {self.run.diverged})")
         return self.seeds.index(left[0] if seed is None else seed)
@@ -191,7 +187,9 @@ class AIRL:
             checkpoints.copy(self.folder, Path(path))
 
     @classmethod
-    def load(cls, path: Path_, env: Task | None = None, *, folder: Path_ | None = None) -> "AIRL":
+    def load(
+        cls, path: Path_, env: envs.AnyTask | None = None, *, folder: Path_ | None = None
+    ) -> "AIRL":
         """Return a copy of what was saved, or of any other run folder.
 
         A task of one's own, a function, an environment or an id with a module, is given again.
@@ -202,14 +200,10 @@ class AIRL:
             raise ValueError(
                 f"{path} was trained on {spec.config.env_id}: give that task, AIRL.load(path, env)"
             )
-        _task_id(spec.config.env_id if env is None else env, spec.config.env_id)
+        envs.register(spec.config.env_id if env is None else env, spec.config.env_id)
         self = cls.__new__(cls)
-        self.seeds, self.config, self.run_inputs, self.inherited = (
-            spec.seeds,
-            spec.config,
-            RunInputs(),
-            {},
-        )
+        self.seeds, self.config = spec.seeds, spec.config
+        self.run_inputs, self.inherited = RunInputs(), {}
         self._place(folder)
         checkpoints.copy(Path(path), self.folder)
         self.demonstrations = inputs.demonstrations_of(self.folder, spec)
@@ -218,25 +212,3 @@ class AIRL:
 
 def _several(files: Any) -> tuple:
     return tuple(files) if isinstance(files, list | tuple) else (files,)
-
-
-def _task_id(env: Task, env_id: str | None = None) -> str:
-    """Return the id of a task, under which an environment, or a function, is registered."""
-    if isinstance(env, str):
-        envs.spec(env)
-        return env
-    if not isinstance(env, gymnasium.Env) and not callable(env):
-        raise ValueError(f"env is {env!r}; expected a Gymnasium id, an environment, or a function")
-    make: Any = env if callable(env) else lambda: deepcopy(env)
-    first = make()
-    wrapped, limit = first, None
-    while isinstance(wrapped, gymnasium.Wrapper):
-        if isinstance(wrapped, gymnasium.wrappers.TimeLimit):
-            limit = wrapped._max_episode_steps
-        wrapped = wrapped.env
-    env_id = env_id or f"airl/{type(wrapped).__name__}-{uuid.uuid4().hex[:8]}-v0"
-    made = [first]
-    gymnasium.registry.pop(env_id, None)
-    entry_point: Any = lambda: made.pop() if made else make()  # noqa: E731
-    gymnasium.register(env_id, entry_point, max_episode_steps=limit)
-    return env_id

@@ -12,9 +12,12 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 
 import importlib
 import sys
-from collections.abc import Sequence
+import uuid
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from copy import deepcopy
 from difflib import get_close_matches
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -29,7 +32,10 @@ from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
 __all__ = ["TASKS", "BatchedEnv", "OneHotActions", "SerialEnv", "SingleEnv", "TaskError"]
-__all__ += ["make", "require_boxes", "spaces", "spec"]
+__all__ += ["AnyTask", "make", "register", "require_boxes", "spaces", "spec"]
+
+AnyTask = str | gymnasium.Env | Callable[[], gymnasium.Env]
+"""A Gymnasium id, an environment, or a function that makes one."""
 
 
 class SingleEnv(gymnasium.Env):
@@ -113,6 +119,31 @@ def spec(env_id: str) -> EnvSpec:
             "is your own, name the module that calls gymnasium.register: "
             f"--env-id my_module:{name or 'MyTask-v0'}"
         ) from error
+
+
+def register(env: AnyTask, env_id: str | None = None) -> str:
+    """Return the id of a task, under which an environment, or a function, is registered.
+
+    An environment is copied each time that the task is made. Without an `env_id` it gets a new one.
+    """
+    if isinstance(env, str):
+        spec(env)
+        return env
+    if not isinstance(env, gymnasium.Env) and not callable(env):
+        raise ValueError(f"env is {env!r}; expected a Gymnasium id, an environment, or a function")
+    make: Any = env if callable(env) else lambda: deepcopy(env)
+    first = make()
+    wrapped, limit = first, None
+    while isinstance(wrapped, gymnasium.Wrapper):
+        if isinstance(wrapped, gymnasium.wrappers.TimeLimit):
+            limit = wrapped._max_episode_steps
+        wrapped = wrapped.env
+    env_id = env_id or f"airl/{type(wrapped).__name__}-{uuid.uuid4().hex[:8]}-v0"
+    made = [first]
+    gymnasium.registry.pop(env_id, None)
+    entry_point: Any = lambda: made.pop() if made else make()  # noqa: E731
+    gymnasium.register(env_id, entry_point, max_episode_steps=limit)
+    return env_id
 
 
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
