@@ -246,6 +246,21 @@ def test_task_with_randomness_of_its_own_is_an_error(odd_walk):
         env.set_state(env.get_state())
 
 
+def test_a_task_that_is_made_by_chance_cannot_be_restored_elsewhere(monkeypatch):
+    chance = np.random.default_rng(0)
+
+    def made_by_chance(self):
+        self.bits, self.shared, size = None, None, chance.normal()
+        self.step = lambda action: Walk.step(self, size * action)
+
+    monkeypatch.setattr(Walk, "__init__", made_by_chance)
+    first, second = (envs.make("Walk-v0", 1, 0) for _ in range(2))
+    first.reset()
+    first.step(np.ones((1, 2)))
+    with pytest.raises(ValueError, match=r"Walk-v0.*: observations came out differently"):
+        second.set_state(first.get_state())
+
+
 @pytest.mark.parametrize("bits", [np.random.MT19937, np.random.PCG64DXSM])
 def test_generator_of_another_kind_runs_but_is_not_saved(odd_walk, bits):
     env = envs.make(odd_walk(bits=bits), 2, 0)
