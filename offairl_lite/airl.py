@@ -72,7 +72,8 @@ class AIRL:
             config = recipe.change(**reward).change(total_steps=10**9, **options)
         except ValueError as error:
             for name in options if "no setting" in str(error) else ():
-                near = get_close_matches(name, known | flat_settings().keys(), 1, 0)
+                names = known | flat_settings().keys() | {"seeds", "folder"}
+                near = get_close_matches(name, names, 1, 0)
                 if name not in flat_settings():
                     why = f"AIRL has no option {name!r}; did you mean {near[0]!r}?"
                     raise TypeError(why) from None
@@ -130,7 +131,14 @@ class AIRL:
             )
             folders.create(self.folder, spec, self.inherited, self.demonstrations)
         self._run = None
+        before = records.read_state(self.folder)["step"]
         folders.work(self.folder, demonstrations=self.demonstrations, progress=progress)
+        every, now = self.config.schedule.train_every, before + steps
+        if every and now // every == before // every:
+            folders.log.warning(
+                f"nothing was learned in these {steps} steps: networks are trained after every "
+                f"{every:,}, next at step {(now // every + 1) * every:,} (train_every)"
+            )
         return self
 
     def predict(
@@ -197,9 +205,13 @@ class AIRL:
         spec = records.RunSpec.read(path)
         needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
         if (env is None and needs_env) or (isinstance(env, str) and env != spec.config.env_id):
-            raise ValueError(
-                f"{path} was trained on {spec.config.env_id}: give that task, AIRL.load(path, env)"
+            task = spec.config.env_id
+            whose = (
+                f"{task}: give that task"
+                if ":" in task
+                else "a task that was given as an object or a function: give it again"
             )
+            raise ValueError(f"{path} was trained on {whose}, AIRL.load(path, env)")
         envs.register(spec.config.env_id if env is None else env, spec.config.env_id)
         self = cls.__new__(cls)
         self.seeds, self.config = spec.seeds, spec.config

@@ -143,17 +143,18 @@ def short_name(env_id: str) -> str:
 
 def load(
     env_id: str,
-    trajectories: int = 50,
+    trajectories: int | None = None,
     dataset_id: str | None = None,
     subsample: int = 1,
     experts: int | Literal["best"] | None = None,
 ) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
-    Without `dataset_id`, of a data set of your own, the shipped experts demonstrate: all, the first
-    few, or the `best`, whose mode returns most. The actions of 50 episodes of each are shipped, and
-    played again on first use; where they lead elsewhere the log says so, and the experts act anew.
-    A trajectory is always the same, however many are asked for. With a `subsample` of k there is
+    Of a data set of your own, `dataset_id`, there are all trajectories, or the first so many.
+    Without one the shipped experts demonstrate, 50 times by default: all of them, the first few, or
+    the `best`, whose mode returns most. The actions of 50 episodes of each are shipped, and played
+    again on first use; where they lead elsewhere the log says so, and the experts act anew. A
+    trajectory is always the same, however many are asked for. With a `subsample` of k there is
     every k-th transition of each, k times (`Demonstrations.subsample`).
 
     Raises:
@@ -161,7 +162,10 @@ def load(
         OSError: Minari's local storage cannot be used.
         ValueError: the data set does not fit the task, or an argument is not valid.
     """
-    trajectories = checked("trajectories", trajectories, Count)
+    trajectories = checked("trajectories", trajectories, Count | None)
+    if trajectories is None:
+        known = minari_storage.local_datasets() if dataset_id else {}
+        trajectories = known.get(dataset_id or "", {}).get("total_episodes", 50)
     subsample = checked("subsample", subsample, Count)
     several = Annotated[int, "of at least 1, or 'best'", lambda n: n >= 1]
     experts = experts if experts == "best" else checked("experts", experts, several | None)
@@ -194,20 +198,17 @@ def of(
 ) -> Demonstrations:
     """Return demonstrations of a task, in whatever form they are given.
 
-    `given` is a list of episodes, each a `Recording` or its parts (obs, action, terminated); flat
-    arrays, as `from_flat` takes them; the name of a Minari data set; somebody who acts, whom
-    `record` asks for 50 episodes: a `Policy`, a function, or a model with `predict`; None for the
-    shipped `experts`; or `Demonstrations`, which are returned as they are. Of episodes that are
-    there already all are taken, or the first `trajectories`. ValueError says what is wrong, and
-    with which recording.
+    `source` is a list of episodes, each a `Recording`, its parts (obs, action, terminated), or a
+    `Trajectory` of imitation; flat arrays, as `from_flat` takes them; the name of a Minari data
+    set; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a function, or a model
+    with `predict`; None for the shipped `experts`; or `Demonstrations`, which are returned as they
+    are. Of episodes that are there already all are taken, or the first `trajectories`. ValueError
+    says what is wrong, and with which recording.
     """
     if isinstance(source, Demonstrations):
         return source
-    if source is None:
-        return load(env_id, trajectories or 50, None, subsample, experts)
-    if isinstance(source, str):
-        available = minari_storage.local_datasets().get(source, {}).get("total_episodes", 50)
-        return load(env_id, trajectories or available, source, subsample)
+    if source is None or isinstance(source, str):
+        return load(env_id, trajectories, source, subsample, experts)
     if hasattr(source, "predict"):
         model, source = source, lambda obs: model.predict(obs, deterministic=True)[0]
     if isinstance(source, Policy) or callable(source):
@@ -225,7 +226,15 @@ def of(
 
 
 def _parts(i: int, parts: Any) -> Recording:
-    """Return an episode that is given as a tuple, or as a dictionary."""
+    """Return an episode that is given as a tuple, as a dictionary, or as imitation has it."""
+    if hasattr(parts, "acts"):
+        return Recording(parts.obs, parts.acts, bool(parts.terminal), getattr(parts, "rews", None))
+    if isinstance(parts, np.ndarray):
+        raise ValueError(
+            f"recording {i} is an array of shape {parts.shape}; expected a list of episodes, each "
+            "(obs, action). Of flat arrays give their names, too: dict(obs=..., actions=..., "
+            "dones=...)"
+        )
     try:
         return Recording(**parts) if isinstance(parts, Mapping) else Recording(*parts)
     except TypeError as error:

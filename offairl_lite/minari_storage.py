@@ -82,12 +82,14 @@ def write(
 def _episodes(recordings: Sequence[Recording], env_id: str) -> list[EpisodeBuffer]:
     """Return recordings as Minari's episodes; ValueError says what does not fit the task."""
     seen, units = envs.spaces(env_id)
-    episodes = []
+    episodes, clipped = [], []
     for i, recording in enumerate(recordings):
         where = f"recording {i}, for the task {env_id}"
         with _reading(where):
             episode = _episode(i, recording, seen, units)
         episodes.append(_within_bounds(episode, where, seen, units, env_id))
+        clipped.append(episodes[-1].actions - episode.actions)
+    _say_what_is_clipped(clipped, env_id)
     return episodes
 
 
@@ -143,12 +145,15 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
             f"you did not mean that, give a data set of {env_id}, or that task (one with arguments "
             "has to be registered with them, under an id of your own)."
         )
-    parts = []
+    parts, clipped = [], []
     for i in range(trajectories):
         where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
         with _reading(where):
             (episode,) = dataset.iterate_episodes([i])
-        parts.append(_transitions(_within_bounds(episode, where, seen, units, env_id), units))
+        within = _within_bounds(episode, where, seen, units, env_id)
+        parts.append(_transitions(within, units))
+        clipped.append(np.asarray(within.actions) - episode.actions)
+    _say_what_is_clipped(clipped, env_id)
     transitions = Batch(*map(torch.cat, zip(*parts, strict=True)))
     return transitions, tuple(len(part.reward) for part in parts)
 
@@ -301,14 +306,21 @@ def _within_bounds(episode: E, where: str, seen: Box, units: Box, env_id: str) -
         beyond = outside(actions, units).any(1)
         if beyond.any() and not faulty(actions).any() and _clips(env_id, actions[beyond]):
             clipped = np.clip(actions, units.low, units.high).astype(actions.dtype)
-            log.warning(
-                f"{where}: actions in {beyond.sum()} of {len(actions)} steps are out of bounds, "
-                f"by up to {np.abs(clipped - actions).max():.3g}. The task clips them, as playing "
-                "them both ways shows, and so they are clipped here"
-            )
             episode = replace(episode, actions=clipped)
     _check(episode, where, seen, units)
     return episode
+
+
+def _say_what_is_clipped(differences: Sequence[np.ndarray], env_id: str) -> None:
+    """Log by how much the actions of episodes were beyond the bounds, if any was."""
+    beyond = [np.abs(episode).max(1, initial=0) for episode in differences]
+    if (excess := np.concatenate(beyond)).any():
+        log.warning(
+            f"{env_id}: actions in {(excess > 0).sum()} of {len(excess)} steps, of "
+            f"{sum(map(np.any, beyond))} of {len(beyond)} episodes, are out of bounds, by up to "
+            f"{excess.max():.3g}. The task clips them, as playing them both ways shows, and so "
+            "they are clipped here"
+        )
 
 
 def _clips(env_id: str, actions: Float[np.ndarray, "T A"]) -> bool:

@@ -1,6 +1,7 @@
 """The class that a user meets first."""
 
 import re
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -67,8 +68,11 @@ def same(one, other):
         assert torch.equal(mine.params, yours.params)
 
 
-def test_twice_is_the_same_as_at_once(task, model):
-    twice = small(task).learn(25, progress=False).learn(15, progress=False)
+def test_twice_is_the_same_as_at_once(task, model, caplog):
+    twice = small(task).learn(25, progress=False).learn(3, progress=False)
+    assert "nothing was learned in these 3 steps" in caplog.text
+    assert "after every 10, next at step 30" in caplog.text
+    twice.learn(12, progress=False)
     rows = {(row.seed, row.step): row.mean_return for row in twice.run.rows}
     assert {(r.seed, r.step): r.mean_return for r in model.run.rows}.items() <= rows.items()
     assert torch.equal(model.run.policy.params, twice.run.policy.params)
@@ -208,11 +212,12 @@ class Model:
         [Recording(*episode()), Recording(*episode(1), terminated=True)],
         [episode(), episode(1)],
         [{"obs": obs, "action": a} for obs, a in (episode(), episode(1))],
+        [SimpleNamespace(obs=o, acts=a, terminal=False) for o, a in (episode(), episode(1))],
         FLAT,
         controller,
         Model(),
     ],
-    ids=["recordings", "tuples", "dictionaries", "flat", "function", "model"],
+    ids=["recordings", "tuples", "dictionaries", "imitation", "flat", "function", "model"],
 )
 def test_demonstrations_come_in_many_forms(given, task):
     shown = AIRL(task, given, trajectories=2, **SMALL).demonstrations
@@ -229,6 +234,7 @@ def test_demonstrations_come_in_many_forms(given, task):
 def test_demonstrations_by_name_and_of_a_policy(task, model, minari_folder):
     demonstrations.write([Recording(*episode()), Recording(*episode(1))], task, "own/arm-v0")
     assert len(AIRL(task, "own/arm-v0", **SMALL).demonstrations) == 2
+    assert len(demonstrations.load(task, dataset_id="own/arm-v0")) == 2
     assert len(AIRL(task, dataset="own/arm-v0", trajectories=1, **SMALL).demonstrations) == 1
     by_policy = AIRL(task, model.run.policy, trajectories=4, **SMALL).demonstrations
     assert by_policy.lengths == (5,) * 4
@@ -266,6 +272,7 @@ def test_demonstrations_that_nobody_learns_from_are_refused(task):
     [
         ({"temprature": 1}, TypeError, "'temprature'; did you mean 'temperature'"),
         ({"trajectory": 1}, TypeError, "did you mean 'trajectories'"),
+        ({"seed": 1}, TypeError, "did you mean 'seeds'"),
         ({"total_steps": 100}, TypeError, r"\.learn\(100\)"),
         ({"temperature": -1}, ValueError, "temperature is -1; expected a number above 0"),
         ({"seeds": 0}, ValueError, "seeds is 0; expected a whole number of at least 1"),
@@ -273,7 +280,7 @@ def test_demonstrations_that_nobody_learns_from_are_refused(task):
         ({"demonstrations": 3}, ValueError, "demonstrations are 3; expected a list of episodes"),
         ({"demonstrations": []}, ValueError, "expected a list of episodes"),
         ({"demonstrations": [(1, 2, 3, 4, 5)]}, ValueError, "recording 0 is a tuple; expected"),
-        ({"demonstrations": [episode(), np.zeros(3)]}, ValueError, "recording 1, for the task"),
+        ({"demonstrations": [episode(), np.zeros(3)]}, ValueError, "give their names, too"),
         ({"demonstrations": {"obs": np.zeros((3, 2))}}, ValueError, "expected obs and actions"),
         ({"demonstrations": lambda obs: obs[:1]}, ValueError, "episode 0, step 0: the action is"),
         ({"reward": "environment"}, ValueError, "reward_hidden has no use with"),

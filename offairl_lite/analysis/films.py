@@ -70,9 +70,12 @@ def _filming(env_id: str) -> Iterator[None]:
             "variable MUJOCO_GL=egl, or osmesa"
         ) from error
     except (TypeError, AssertionError, NotImplementedError, envs.TaskError) as error:
+        cause = error.__cause__ or error
+        cure = "; let what is registered take **kwargs, and hand them to gymnasium.make"
+        cure *= "unexpected keyword argument 'render_mode'" in str(cause)
         raise ValueError(
             f"{env_id} cannot be filmed: its render() must return frames (height, width, 3) with "
-            f"render_mode='rgb_array'; found: {error.__cause__ or error!r}"
+            f"render_mode='rgb_array'; found: {cause!r}{cure}"
         ) from error
 
 

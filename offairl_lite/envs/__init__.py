@@ -162,8 +162,8 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
                 cure = "offairl_lite.envs.OneHotActions chooses the action whose number is largest"
             raise ValueError(
                 f"{env_id}: the {name} space {space} is not supported; observations and actions "
-                "must each be a gymnasium.spaces.Box with one axis, not empty. Wrap the task, in a "
-                f"function that gymnasium.register is given: {cure}"
+                "must each be a gymnasium.spaces.Box with one axis, not empty. Wrap the task, for "
+                f"AIRL or in a function that gymnasium.register is given: {cure}"
             )
     assert isinstance(observation_space, Box)
     assert isinstance(action_space, Box)

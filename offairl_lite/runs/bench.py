@@ -6,17 +6,21 @@ each network and number of members:
 
 - *updates*: of the discriminator, with its penalty, and of SAC, in blocks as in training, compiled
   where there is a compiler;
-- *steps*: of the environment, with an update each.
+- *steps*: of the environment, with an update each; on request those of another library's SAC, too,
+  which has no discriminator to train.
 """
 
+import importlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import product
 from statistics import median
 from typing import Any, Literal
 
+import gymnasium
 import torch
 from gymnasium.spaces.utils import flatdim
 from tqdm.auto import tqdm
@@ -31,6 +35,8 @@ from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.runs.records import origin
 
 TASK, BATCH = "HalfCheetah-v5", 100
+PEERS = {"sb3": ("stable_baselines3", "Stable-Baselines3"), "sbx": ("sbx", "SBX")}
+"""The modules and the names of other libraries; each is an extra of this package."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,7 @@ class Options:
         device: where networks and replay live.
         compile: whether updates are compiled, by default where there is a compiler.
         threads: of PyTorch and of the physics.
+        against: other libraries, whose SAC is measured beside ours.
         rounds: how often each measurement has its turn.
         seconds: how long a turn takes at least.
     """
@@ -52,6 +59,7 @@ class Options:
     device: Literal["cpu", "cuda"] = "cpu"
     compile: bool = field(default_factory=lambda: compiler() is not None)
     threads: int = 1
+    against: tuple[Literal["sb3", "sbx"], ...] = ()
     rounds: int = 5
     seconds: float = 1.0
 
@@ -103,6 +111,21 @@ def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[st
     return {"updates": partial(trainer.train_on_block, 2 * CHUNK), "steps": partial(next, blocks)}
 
 
+def peer(library: str, hidden: tuple[int, ...]) -> Callable[[], object]:
+    """Return what makes 2 `CHUNK` steps, with an update each, with the SAC of another library."""
+    module, name = PEERS[library]
+    try:
+        sac = importlib.import_module(module).SAC
+    except ImportError as error:
+        cure = f"pip install 'offairl-lite[{library}]', or leave out --against {library}"
+        raise ModuleNotFoundError(f"{name} is not installed: {cure}") from error
+    env, layers = gymnasium.make(TASK), {"net_arch": [*hidden]}
+    starts: dict[str, Any] = {"batch_size": BATCH, "learning_starts": 2 * CHUNK}
+    model = sac("MlpPolicy", env, device="cpu", policy_kwargs=layers, **starts)
+    model.learn(2 * CHUNK + 20)  # the random steps, and some updates: SBX compiles at the first
+    return partial(model.learn, 2 * CHUNK, reset_num_timesteps=False)
+
+
 def turn(act: Callable[[], object], seconds: float) -> float:
     """Act for some time, once at least; return how often it was done in a second."""
     start, times, elapsed = time.perf_counter(), 0, 0.0
@@ -128,6 +151,9 @@ def measure(options: Options) -> dict[str, Any]:
         title = f"{'-'.join(map(str, hidden))}, batch {BATCH}, members {n}"
         for rate_title, act in measured(options, hidden, n).items():
             acts[f"{rate_title}, {title}"] = act, 2 * CHUNK * n
+    for hidden, library in product(networks, options.against):
+        title = f"{'-'.join(map(str, hidden))}, batch {BATCH}, SAC of {PEERS[library][1]}"
+        acts[f"steps, {title}"] = peer(library, hidden), 2 * CHUNK
     turns: dict[str, list[float]] = {title: [] for title in acts}
     for title in tqdm([*acts] * options.rounds, desc="measuring", leave=False):
         act, amount = acts[title]

@@ -22,7 +22,7 @@ from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.minari_storage import closed_task, local_datasets
+from offairl_lite.minari_storage import closed_task
 from offairl_lite.runs import export as exports
 from offairl_lite.runs import folders, inputs, launch, records
 from offairl_lite.runs import tensorboard as logs
@@ -94,15 +94,13 @@ def demos(
         step: of the run's evaluation whose policies act; by default those of its end.
     """
     launch.RunInputs(dataset, experts=experts).require_use([CORRECTED], launch.RunInputs())
-    if trajectories is None:
-        trajectories = local_datasets().get(dataset or "", {}).get("total_episodes", 50)
     if policy is not None:
         if dataset is None:
             raise ValueError(
                 f"--policy {policy} makes a data set, which needs a name: add --dataset "
                 "own/trained-v0, or another that is new"
             )
-        demonstrations.generate(_policy(policy, step), env_id, trajectories, dataset)
+        demonstrations.generate(_policy(policy, step), env_id, trajectories or 50, dataset)
     data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
     lengths, returns = np.array(data.lengths), data.returns
     ended = data.transitions.terminated[lengths.cumsum() - 1].numpy() == 1
@@ -125,7 +123,7 @@ def clone(
     *,
     out: Path,
     dataset: str | None = None,
-    trajectories: int = 50,
+    trajectories: int | None = None,
     experts: int | Literal["best"] | None = None,
     seeds: tuple[int, ...] = (0,),
     hidden: tuple[int, ...] = (256, 256),
@@ -140,7 +138,7 @@ def clone(
         out: the policy's file, such as clones/hopper.safetensors, for `watch`, `demos --policy` or
             `run --pretrained policy --pretrained-policy`.
         dataset: a Minari data set of your own; by default the shipped experts'.
-        trajectories: how many of its episodes to use.
+        trajectories: how many of its episodes to use; by default all, and 50 of the experts.
         experts: how many of the shipped experts show the task, from the first on; or best.
         seeds: of the policies, one for each.
         hidden: layers of the actor, as of a run that goes on with it.
@@ -155,7 +153,8 @@ def clone(
         demos, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state
     )
     records.write_whole(out, policy.save)
-    print(f"{out}: {len(policy)} policies; demonstrations return {demos.returns.mean():.2f}")
+    known = f"return {demos.returns.mean():.2f}" if demos.returns.any() else "have no rewards"
+    print(f"{out}: {len(policy)} policies; demonstrations {known}")
     if eval_episodes:
         returns = rollout(policy, env_id, seeds, eval_episodes).returns
         for seed, scores in zip(seeds, returns, strict=True):

@@ -35,7 +35,7 @@ class RunInputs:
 
     Args:
         dataset: A Minari data set to imitate; by default the shipped experts'.
-        trajectories: How many of its episodes to use.
+        trajectories: How many of its episodes to use; by default all, and 50 of the experts.
         subsample: Use every so many-th transition of each.
         experts: How many of the shipped experts show the task, from the first on; or best. None:
             all.
@@ -52,7 +52,7 @@ class RunInputs:
     """
 
     dataset: str | None = None
-    trajectories: int = 50
+    trajectories: int | None = None
     subsample: int = 1
     experts: int | Literal["best"] | None = None
     frozen_reward: tuple[Path, ...] = ()
@@ -251,6 +251,8 @@ def _missing_seeds(
     existing: list[int] = []
     now = vars(run_inputs) | {name: [*map(str, paths)] for name, paths in run_inputs.files.items()}
     now["experts"] = None if run_inputs.dataset else run_inputs.experts
+    if run_inputs.trajectories is None:
+        del now["trajectories"]
     for path in records.folders_in(folder):
         spec = RunSpec.read(path)
         files = {name: of["files"] for name, of in spec.inherited.items() if of["files"]}

@@ -96,6 +96,12 @@ class RunSpec:
     def read(cls, folder: str | PathLike) -> "RunSpec":
         """Read `config.json`; raise ValueError if it is of another format, or damaged."""
         path = Path(folder) / "config.json"
+        if path.parent.is_file():
+            raise ValueError(
+                f"{folder} is a file, and not the folder of a run. A policy's is for `offairl "
+                "watch`, `demos --policy` and `run --pretrained policy --pretrained-policy`, and "
+                "`core.rollouts.action(Policy.load(FILE), obs, env.action_space)` acts"
+            )
         if not path.is_file():
             raise FileNotFoundError(
                 f"there is no run in {path.parent.absolute()}: it has no config.json; `offairl run "
