@@ -15,15 +15,15 @@ over all, so it fits deterministic worlds.
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 
 import torch
+from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite.config import Config
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
-from offairl_lite.core.experience import Experience
-from offairl_lite.core.learner import log_density
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, optimizer_states
 from offairl_lite.core.results import Run
@@ -32,13 +32,14 @@ from offairl_lite.core.shapes import Metrics
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import spaces
 
+_CURE = "set train_every to a number of steps that divides learning_starts"
+
 
 class World(Trainer):
     """One of several worlds: a `Trainer` that leaves its training to `Worlds`."""
 
     together: "Worlds"
-    steps_due = 0
-    """Length of the block of steps that is to be trained on now."""
+    steps_due = 0  # Length of the block of steps that is to be trained on now.
 
     def start(self) -> None:
         """End the warm-up of all worlds."""
@@ -65,29 +66,22 @@ class Worlds:
         try:
             for shown in demonstrations:
                 there = config.change(env_id=shown.env_id)
-                self.worlds.append(World(there, seeds, shown, execution=execution))
-                self._share(self.worlds[-1])
+                world = World(there, seeds, shown, execution=execution)
+                assert world.discriminator is not None  # `require_worlds` has seen to it.
+                self.worlds.append(world)
+                self.discriminators.append(world.discriminator)
+                share(*self.discriminators)
+                world.together, world.members.weights = self, world.weights()
         except ValueError:
             self.close()
             raise
-        settings = self.discriminators[0].config
-        hidden = settings.reward_hidden + settings.shaping_hidden
-        self.update = execution.accelerate(self._update, hidden)
-
-    def _share(self, world: World) -> None:
-        """Give a world the reward of the first."""
-        own = world.discriminator
-        assert own is not None  # `require_worlds` has seen to it.
-        self.discriminators.append(own)
-        first = self.discriminators[0]
-        own.reward_params, own.reward_optimizer = first.reward_params, first.reward_optimizer
-        own.state = optimizer_states(reward=own.reward_optimizer, value=own.value_optimizer)
-        world.together, world.members.weights = self, world.weights()
+        hidden = config.flat()["reward_hidden"]
+        self.update = execution.accelerate(partial(update, self.discriminators), hidden)
 
     def start(self) -> None:
         """End the warm-up of all worlds, and scale observations alike: by what all have seen."""
         if len({world.steps for world in self.worlds}) > 1:
-            raise ValueError(f"the worlds' warm-ups must end together: {_TOGETHER}")
+            raise ValueError(f"the worlds' warm-ups end at different times: {_CURE}")
         for world in self.worlds:
             Trainer.start(world)
         common = mixture([world.normaliser for world in self.worlds])
@@ -97,13 +91,11 @@ class Worlds:
 
     def run(self, progress: bool = False) -> list[Run]:
         """Take all worlds to their end; return the results of each."""
-        runs = [Run(w.config, w.seeds, diverged=w.members.diverged) for w in self.worlds]
-        first = self.worlds[0]
+        runs, first = [Run(w.config, w.seeds) for w in self.worlds], self.worlds[0]
         with tqdm(total=first.config.total_steps, unit="step", disable=not progress) as bar:
             for rows in zip(*(world.run() for world in self.worlds), strict=True):
-                due = {world.steps_due for world in self.worlds}
-                if len(due) > 1:
-                    raise ValueError(f"the worlds' blocks of steps must end together: {_TOGETHER}")
+                if len(due := {world.steps_due for world in self.worlds}) > 1:
+                    raise ValueError(f"the worlds' blocks end at different times: {_CURE}")
                 if steps := due.pop():
                     self.train_on_block(steps)
                 for run, new in zip(runs, rows, strict=True):
@@ -111,30 +103,20 @@ class Worlds:
                 bar.update(first.trained - bar.n)
         for run, world in zip(runs, self.worlds, strict=True):
             run.policy, run.reward = world.policy, world.reward
+            run.diverged = world.members.diverged
         return runs
 
     def train_on_block(self, steps: int) -> None:
         """Update all discriminators, and then all learners, once for each step of a block."""
-        experiences = [
-            Experience(
-                world.config,
-                world.collector.replay,
-                world.demonstrations,
-                world.normaliser,
-                world.rng,
-                world.discriminator,
-                log_density(world.config, world.learner, world.steps),
-            )
-            for world in self.worlds
-        ]
-        drawn = (experience.discriminator_minibatches(steps) for experience in experiences)
-        for minibatches in zip(*drawn, strict=True):
+        experiences = [world.experience() for world in self.worlds]
+        drawn = zip(*(each.discriminator_minibatches(steps) for each in experiences), strict=True)
+        for minibatches in drawn:
             for name, value in self.update(*minibatches).items():
-                world_index, _, metric = name.partition(".")
-                self.worlds[int(world_index)].metrics[metric] = value
+                index, _, metric = name.partition(".")
+                self.worlds[int(index)].metrics[metric] = value
         for world, experience in zip(self.worlds, experiences, strict=True):
-            for update in world.learner.minibatches(experience, steps, world.trained - steps):
-                world.metrics |= world.update_learner(*update)
+            for minibatch in world.learner.minibatches(experience, steps, world.trained - steps):
+                world.metrics |= world.update_learner(*minibatch)
             world.steps_due = 0
             world.members.give_up_not_finite(world.steps)
         lost = {seed for world in self.worlds for seed in world.members.diverged}
@@ -142,31 +124,37 @@ class Worlds:
             twins = torch.tensor([seed in lost for seed in world.seeds])
             world.members.give_up(twins, world.steps, "twin in another world has diverged")
 
-    def _update(self, *minibatches: tuple[Transitions, Transitions, Mixing]) -> Metrics:
-        """Take one step down the sum of all worlds' losses.
-
-        The reward steps by the mean of its gradients. To Adam their sum is the same, but so twice
-        the same world gives the numbers of that world alone.
-        """
-        reward, gradients = self.discriminators[0].reward_optimizer, []
-        metrics: Metrics = {}
-        for i, (own, minibatch) in enumerate(zip(self.discriminators, minibatches, strict=True)):
-            loss, diagnostics = own.loss(*minibatch)
-            weights = own.reward_params, own.value_params
-            of_reward, of_value = torch.autograd.grad(loss, weights)
-            own.value_optimizer.step(of_value)
-            gradients.append(of_reward)
-            metrics |= {f"{i}.{name}": value for name, value in diagnostics.items()}
-        reward.step(torch.stack(gradients).mean(0))
-        return metrics
-
     def close(self) -> None:
         """Close the environments."""
         for world in self.worlds:
             world.close()
 
 
-_TOGETHER = "set train_every to a number of steps that divides learning_starts"
+def share(first: Discriminator, *others: Discriminator) -> None:
+    """Let all have the reward of the first, and its optimizer's state."""
+    for each in others:
+        each.reward_params, each.reward_optimizer = first.reward_params, first.reward_optimizer
+        each.state = optimizer_states(reward=first.reward_optimizer, value=each.value_optimizer)
+
+
+def update(
+    discriminators: Sequence[Discriminator],
+    *minibatches: tuple[Transitions, Transitions, Mixing],
+) -> Metrics:
+    """Take one step down the sum of the losses of discriminators that share a reward.
+
+    The reward steps by the mean of its gradients. To Adam their sum is the same, but so twice the
+    same world gives the numbers of that world alone.
+    """
+    gradients, metrics = [], dict[str, Tensor]()
+    for i, (own, minibatch) in enumerate(zip(discriminators, minibatches, strict=True)):
+        loss, diagnostics = own.loss(*minibatch)
+        of_reward, of_value = torch.autograd.grad(loss, (own.reward_params, own.value_params))
+        own.value_optimizer.step(of_value)
+        gradients.append(of_reward)
+        metrics |= {f"{i}.{name}": value for name, value in diagnostics.items()}
+    discriminators[0].reward_optimizer.step(torch.stack(gradients).mean(0))
+    return metrics
 
 
 def train(
@@ -179,20 +167,11 @@ def train(
 ) -> list[Run]:
     """Learn one reward from demonstrations of W worlds; return a run for each world.
 
-    All runs have this reward: `runs[0].reward.save(path)` keeps it, and `core.loop.train`, or
-    `offairl run imitate --reward frozen`, pays a new policy with it in another world.
-
-    Args:
-        config: of every world, but for `env_id`; it has an AIRL reward without an ablation.
-        seeds: one for each member, in every world.
-        demonstrations: of each world, whose task they name.
-        execution: see `Trainer`.
-        progress: whether a bar is shown.
-
-    Raises:
-        ValueError: there are fewer than two worlds, their observations or actions differ, their
-            blocks of steps end at different times, or `config` does not fit.
-        FloatingPointError: all members have diverged.
+    All runs have this reward. `runs[0].reward.save(path)` keeps it, and `core.loop.train`, or
+    `offairl run imitate --reward frozen`, pays a new policy with it in another world. `config` is
+    that of every world, but for `env_id`, and `seeds` are one for each member in every world. It is
+    a ValueError if there are fewer than two worlds, their observations or actions differ, their
+    blocks of steps end at different times, or `config` does not fit; see `core.loop` for others.
     """
     with ExitStack() as afterwards:
         afterwards.callback(torch.set_num_threads, torch.get_num_threads())
@@ -210,16 +189,12 @@ def mixture(scalings: Sequence[Normaliser]) -> Normaliser:
 
 def require_worlds(config: Config, demonstrations: Sequence[Demonstrations]) -> None:
     """Raise ValueError unless one reward can be learned from these worlds."""
-    flat = config.flat()
-    if config.reward not in IMPLEMENTATIONS or flat["ablation"]:
+    if config.reward not in IMPLEMENTATIONS or config.flat()["ablation"]:
         names = ", ".join(IMPLEMENTATIONS)
         raise ValueError(f"reward is {config.reward!r}; worlds share {names}, without an ablation")
     if len(demonstrations) < 2:
         raise ValueError("give demonstrations of two worlds at least; for one use core.loop.train")
-    first, *others = (
-        (shown.env_id, [box.shape for box in spaces(shown.env_id)]) for shown in demonstrations
-    )
-    for env_id, shapes in others:
-        if shapes != first[1]:
-            pair = f"{first[0]} has the shapes {first[1]}, and {env_id} {shapes}"
-            raise ValueError(f"worlds must have the same observations and actions: {pair}")
+    ids = [shown.env_id for shown in demonstrations]
+    shapes = {env_id: [box.shape for box in spaces(env_id)] for env_id in ids}
+    if any(each != shapes[ids[0]] for each in shapes.values()):
+        raise ValueError(f"worlds must have the same observations and actions, not {shapes}")
