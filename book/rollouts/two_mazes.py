@@ -12,16 +12,17 @@ remove the folder to start afresh.
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import mujoco
 import numpy as np
 import torch
 
-from offairl_lite import demonstrations, experiments, worlds
+from offairl_lite import demonstrations, envs, experiments, worlds
 from offairl_lite.config import Config
 from offairl_lite.core import loop
 from offairl_lite.core.policies import Policy
@@ -29,6 +30,7 @@ from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS, models
+from offairl_lite.tabular import apart
 
 WORK = Path("runs/two_mazes")
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
@@ -40,6 +42,8 @@ SHOWN = 50
 """Demonstrations in all, of one maze or of two."""
 STRENGTH = 0.4
 """Of the weak motors, in terms of the ordinary ones."""
+WANDERED = 30_000
+"""Steps of random actions from which distances are estimated."""
 BELOW = 0.15
 """How much lower the barrier of the low maze is, in metres."""
 
@@ -109,6 +113,49 @@ def register() -> None:
 def short(env_id: str) -> str:
     """Return `Left` for `offairl/PointMazeLeft-v0`."""
     return demonstrations.short_name(env_id).removeprefix("PointMaze")
+
+
+# ---- How far they are apart ----
+
+
+class Steps(NamedTuple):
+    """Recorded steps of a maze."""
+
+    obs: np.ndarray
+    action: np.ndarray
+    next_obs: np.ndarray
+
+
+def wander(env_id: str, seed: int, steps: int = WANDERED) -> Steps:
+    """Record random actions, each held for ten steps on average."""
+    rng, count = np.random.default_rng(seed), 10
+    action, rows = rng.uniform(-1, 1, (count, 2)), []
+    with closing(envs.make(env_id, count, seed * count)) as env:
+        obs, _ = env.reset()
+        for _ in range(steps // count):
+            fresh = rng.random(count) < 0.1
+            action = np.where(
+                fresh[:, None], rng.uniform(-1, 1, (count, 2)), action
+            )
+            next_obs, _, _, done, _ = env.step(action.astype(np.float32))
+            rows.append((obs, action, next_obs))
+            obs = next_obs
+            if done.any():
+                obs, _ = env.reset(options={"reset_mask": done})
+    return Steps(
+        *(np.concatenate(part) for part in zip(*rows, strict=True))
+    )
+
+
+def distances() -> dict[str, list]:
+    """Return how far mazes are from Left, and halves of one, by draw."""
+    return {
+        short(maze): [
+            apart([wander(LEFT, 2 * i), wander(maze, 2 * i + 1)])
+            for i in range(3)
+        ]
+        for maze in (LEFT, RIGHT, WEAK, TURNED)
+    }
 
 
 # ---- What is shown ----
