@@ -1,78 +1,149 @@
-"""One reward from two mazes of a point mass, for chapter 12.
+"""What networks make of one world and of two, for chapter 12.
 
-Experts demonstrate the maze with the barrier on the left; the same maze
-with controls turned by 90 degrees, or with weak motors; and the maze with
-the barrier on the right. A reward r(s, a) or r(s) is learned from one of
-them or from two, and 50 demonstrations in all. Five new agents are paid by
-it where nobody has demonstrated anything.
-
-What is trained is kept in `runs/two_mazes`, and is not trained again:
-remove the folder to start afresh.
+The chapter's game, with exact averages, is played with a free number for
+each square and action, and with networks that see positions and moves. For
+the continuous maze: how far recordings of different mazes are apart, and
+what rewards say that chapter 6 learned from one of them.
 """
 
-import json
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
 import mujoco
 import numpy as np
 import torch
+from torch import Generator, nn
+from torch.nn.functional import softplus
 
-from offairl_lite import demonstrations, envs, experiments, worlds
-from offairl_lite.config import Config
-from offairl_lite.core import loop
-from offairl_lite.core.policies import Policy
-from offairl_lite.core.results import Run
+from grid_worlds import MIRROR, QUARTER, Player, turned
+from offairl_lite import demonstrations, envs, tabular
+from offairl_lite.core.results import learned_returns
 from offairl_lite.core.rewards import Reward
-from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs import TASKS, models
-from offairl_lite.tabular import apart
+from offairl_lite.plain import adam, descend, mlp
+from offairl_lite.runs import records
+from offairl_lite.tabular import apart, policy_return, soft_value_iteration
+from rollouts import RECORDS
 
-WORK = Path("runs/two_mazes")
-LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
-TURNED, WEAK, LOW = (
-    f"offairl/PointMaze{name}-v0" for name in ("Turned", "Weak", "Low")
+SEEDS = range(5)
+LEFT, RIGHT, TURNED, WEAK = (
+    f"offairl/PointMaze{name}-v0"
+    for name in ("Left", "Right", "Turned", "Weak")
 )
-SEEDS = tuple(range(5))
-SHOWN = 50
-"""Demonstrations in all, of one maze or of two."""
 STRENGTH = 0.4
-"""Of the weak motors, in terms of the ordinary ones."""
-WANDERED = 30_000
-"""Steps of random actions from which distances are estimated."""
-BELOW = 0.15
-"""How much lower the barrier of the low maze is, in metres."""
-
-LEARNED_FROM = {
-    "Left": [LEFT],
-    "Left and turned": [LEFT, TURNED],
-    "Left and weak": [LEFT, WEAK],
-    "Left and Right": [LEFT, RIGHT],
+"""Of weak motors, in terms of the ordinary ones."""
+RECORDED = {
+    "r(s, a)": "maze-rewards-demo/implementation-3",
+    "r(s)": "maze-imitation-demo",
 }
-REWARDS = {"r(s, a)": "r-sa", "r(s)": "r-s"}
 
 
 def record() -> dict[str, Any]:
-    """Return how imitators and new agents end, by reward and mazes."""
+    """Return what the chapter says of networks."""
     register()
-    kept = {}
-    for name, reward in REWARDS.items():
-        for pair, mazes in LEARNED_FROM.items():
-            learned = learn(mazes, reward)
-            ends = {short(maze): learned["returns"][maze] for maze in mazes}
-            for maze in (RIGHT, LOW):
-                if maze not in mazes:
-                    file = learned["file"]
-                    ends[f"new: {short(maze)}"] = transfer(file, maze)
-            kept[f"{name}, {pair}"] = ends
-    return kept
+    return {
+        "game": {
+            f"{features}, {count}": [
+                play(features, count, seed) for seed in SEEDS
+            ]
+            for features in ("table", "network")
+            for count in (1, 2)
+        },
+        "distances": distances(),
+        "recorded": {
+            name: of_record(records.read(RECORDS / folder).reward)
+            for name, folder in RECORDED.items()
+        },
+    }
 
 
-# ---- The mazes ----
+# ---- The game, with numbers or with networks ----
+
+CELLS = 6
+ROUNDS = UPDATES = 40
+
+
+def play(features: str, count: int, seed: int) -> tuple[float, ...]:
+    """Return correlation, share of the action and two scores of a reward.
+
+    The scores are of plans in the maze with the wall on the other side,
+    with the same controls and with mirrored ones.
+    """
+    small = tabular.maze(CELLS, "Left", discount=0.9)
+    truth = small.reward / 0.3
+    pair = [small.mdp, turned(small.mdp, QUARTER)]
+    players = [Player(mdp, truth) for mdp in pair[:count]]
+    of_state, of_pair, hidden, rate = inputs(features, small)
+    rng = Generator().manual_seed(seed)
+    reward = mlp([of_pair.shape[1], *hidden, 1], nn.Tanh, rng)
+    sizes = [of_state.shape[1], *hidden, 1]
+    values = nn.ModuleList(mlp(sizes, nn.Tanh, rng) for _ in players)
+    optimizer = adam(nn.ModuleList([reward, values]).parameters(), lr=rate)
+    for k in range(ROUNDS):
+        optimizer.param_groups[0]["lr"] = rate * (1 - k / ROUNDS)
+        for _ in range(UPDATES):
+            descend(
+                loss(players, reward, values, of_state, of_pair), optimizer
+            )
+        r = reward(of_pair).detach().double().numpy().reshape(-1, 5)
+        for player in players:
+            player.improve(r)
+    return *likeness(r, truth), *scores(r, truth, small.mdp)
+
+
+def inputs(features: str, small: tabular.Maze) -> tuple:
+    """Return what V and r see, hidden layers and the learning rate."""
+    s = small.mdp.num_states
+    if features == "table":
+        return torch.eye(s), torch.eye(5 * s), [], 0.1
+    at = torch.tensor(small.positions / small.positions.std()).float()
+    moves = torch.tensor(tabular.MOVES).float().repeat(s, 1)
+    pairs = torch.cat([at.repeat_interleave(5, 0), moves], 1)
+    return at, pairs, [64, 64], 0.005
+
+
+def loss(players, reward, values, of_state, of_pair):
+    """Return AIRL's cross-entropy, summed over the worlds."""
+    r, total = reward(of_pair).squeeze(-1), 0.0
+    for player, net in zip(players, values, strict=True):
+        v = net(of_state).squeeze(-1)
+        here, there = player.steps.obs @ v, player.steps.next_obs @ v
+        logit = r + player.mdp.discount * there - here - player.log_pi
+        total = total + player.seen @ softplus(-logit)
+        total = total + player.visits @ softplus(logit)
+    return total
+
+
+def likeness(r, truth) -> tuple[float, float]:
+    """Return the correlation of r(s, a), and the action's share of it."""
+    pair = r.ravel(), np.repeat(truth, r.shape[1])
+    by_action = (r - r.mean(1, keepdims=True)).var()
+    return np.corrcoef(*pair)[0, 1], by_action / r.var()
+
+
+def scores(r, truth, left) -> list[float]:
+    """Return 0 for a copy of the expert on the left, 1 for an expert."""
+    right = tabular.maze(CELLS, "Right", discount=0.9).mdp
+    start = np.full(len(truth), 1 / len(truth))
+    copy, found = soft_value_iteration(left, truth).policy, []
+    for mdp in (right, turned(right, MIRROR)):
+        new = replace(mdp, initial=start)
+        plans = [
+            soft_value_iteration(new, each, 0.1).policy
+            for each in (truth, r)
+        ]
+        copied, best, learned = (
+            policy_return(new, policy, truth) for policy in (copy, *plans)
+        )
+        found.append((learned - copied) / (best - copied))
+    return found
+
+
+# ---- The continuous mazes ----
 
 
 def _turned() -> mujoco.MjModel:
@@ -89,17 +160,10 @@ def _weak() -> mujoco.MjModel:
     return model
 
 
-def _low() -> mujoco.MjModel:
-    model = models.particle(models.START, "Right")
-    is_wall = model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE
-    barrier = np.flatnonzero(is_wall)[-1]  # the last, see `models.walls`
-    model.geom_pos[barrier, 1] -= BELOW
-    return model
-
-
 def register() -> None:
     """Make these mazes known, as the others are."""
-    for env_id, model in ((TURNED, _turned), (WEAK, _weak), (LOW, _low)):
+    makers: dict[str, Callable] = {TURNED: _turned, WEAK: _weak}
+    for env_id, model in makers.items():
         TASKS[env_id] = replace(TASKS[LEFT], model=model)
         gymnasium.register(
             env_id,
@@ -110,14 +174,6 @@ def register() -> None:
         )
 
 
-def short(env_id: str) -> str:
-    """Return `Left` for `offairl/PointMazeLeft-v0`."""
-    return demonstrations.short_name(env_id).removeprefix("PointMaze")
-
-
-# ---- How far they are apart ----
-
-
 class Steps(NamedTuple):
     """Recorded steps of a maze."""
 
@@ -126,31 +182,27 @@ class Steps(NamedTuple):
     next_obs: np.ndarray
 
 
-def wander(env_id: str, seed: int, steps: int = WANDERED) -> Steps:
+def wander(env_id: str, seed: int, steps: int = 30_000) -> Steps:
     """Record random actions, each held for ten steps on average."""
     rng, count = np.random.default_rng(seed), 10
     action, rows = rng.uniform(-1, 1, (count, 2)), []
     with closing(envs.make(env_id, count, seed * count)) as env:
         obs, _ = env.reset()
         for _ in range(steps // count):
-            fresh = rng.random(count) < 0.1
-            action = np.where(
-                fresh[:, None], rng.uniform(-1, 1, (count, 2)), action
-            )
+            other = rng.uniform(-1, 1, (count, 2))
+            action = np.where(rng.random((count, 1)) < 0.1, other, action)
             next_obs, _, _, done, _ = env.step(action.astype(np.float32))
             rows.append((obs, action, next_obs))
             obs = next_obs
             if done.any():
                 obs, _ = env.reset(options={"reset_mask": done})
-    return Steps(
-        *(np.concatenate(part) for part in zip(*rows, strict=True))
-    )
+    return Steps(*(np.concatenate(x) for x in zip(*rows, strict=True)))
 
 
 def distances() -> dict[str, list]:
-    """Return how far mazes are from Left, and halves of one, by draw."""
+    """Return distances from Left, and between halves, of three draws."""
     return {
-        short(maze): [
+        demonstrations.short_name(maze): [
             apart([wander(LEFT, 2 * i), wander(maze, 2 * i + 1)])
             for i in range(3)
         ]
@@ -158,88 +210,28 @@ def distances() -> dict[str, list]:
     }
 
 
-# ---- What is shown ----
+def of_record(rewards: Reward) -> dict[str, Any]:
+    """Return what five rewards of PointMazeLeft say of PointMazeRight.
 
-
-def demonstrated(env_id: str, count: int) -> Demonstrations:
-    """Return demonstrations; with two mazes these are different ones."""
-    if env_id == WEAK:
-        policy = kept("weak-expert", weak_expert, Policy.load)
-        recordings = demonstrations.record(policy, WEAK, count)
-        return demonstrations.of(recordings, WEAK)
-    if env_id != TURNED:
-        return demonstrations.load(env_id, count)
-    # Whoever wants the same here makes the same moves by other commands.
-    steps = sum(demonstrations.load(LEFT, SHOWN - count).lengths)
-    shown = demonstrations.load(LEFT, SHOWN)
-    x, y = shown.transitions.pre_tanh.unbind(-1)
-    batch = shown.transitions._replace(pre_tanh=torch.stack([y, -x], -1))
-    later = type(batch)(*(part[steps:] for part in batch))
-    return Demonstrations(TURNED, later, shown.lengths[-count:])
-
-
-def weak_expert() -> Policy:
-    """Train experts with weak motors, from those with ordinary ones."""
-    config = experiments.configure("maze-expert", "demo").change(
-        env_id=WEAK,
-        pretrained="policy",
-        learning_starts=100,
-        random_hold=1.0,
-        total_steps=6_000,
-    )
-    policy = demonstrations.expert(LEFT)
-    run = loop.train(
-        config, SEEDS, pretrained_policy=policy, progress=False
-    )
-    assert run.policy is not None
-    return run.policy
-
-
-# ---- What is learned ----
-
-
-def kept(name: str, make: Callable, load: Callable) -> Any:
-    """Load what is there, or make it and keep it."""
-    path = WORK / f"{name}.safetensors"
-    if not path.is_file():
-        make().save(path)
-    return load(path)
-
-
-def learn(mazes: list[str], reward: str) -> dict[str, Any]:
-    """Return the file of a reward, and the imitators' returns."""
-    name = "-".join([reward, *map(short, mazes)])
-    file = WORK / f"{name}.safetensors"
-    ends = file.with_suffix(".json")
-    if not ends.is_file():
-        shown = [demonstrated(m, SHOWN // len(mazes)) for m in mazes]
-        config = experiments.configure("maze-imitation", "demo")
-        config = config.change(reward=reward, env_id=LEFT)
-        runs = imitate(config, shown)
-        assert runs[0].reward is not None
-        runs[0].reward.save(file)
-        last = {run.config.env_id: run.returns.tolist() for run in runs}
-        ends.write_text(json.dumps(last), "utf-8")
-    return {"file": file, "returns": json.loads(ends.read_text("utf-8"))}
-
-
-def imitate(config: Config, shown: list[Demonstrations]) -> list[Run]:
-    """Learn one reward from the demonstrations of one maze or of two."""
-    if len(shown) == 1:
-        return [loop.train(config, SEEDS, shown[0], progress=False)]
-    return worlds.train(config, SEEDS, shown, progress=False)
-
-
-def transfer(file: Path, env_id: str) -> list[list[float]]:
-    """Return the curves of new agents that a kept reward pays."""
-    path = file.with_name(f"{file.stem}-to-{short(env_id)}.json")
-    if not path.is_file():
-        config = experiments.configure("maze-transfer", "demo")
-        run = loop.train(
-            config.change(env_id=env_id),
-            SEEDS,
-            frozen_reward=Reward.load(file),
-            progress=False,
-        )
-        path.write_text(json.dumps(run.returns.tolist()), "utf-8")
-    return json.loads(path.read_text("utf-8"))
+    Correlation and share of the action as above, with full pushes at 400
+    places; and what they pay Left's experts, who are stuck there, and
+    Right's.
+    """
+    maze, count = tabular.maze(20, "Right"), len(rewards)
+    places = np.repeat(maze.positions, 5, 0)
+    obs = torch.zeros(count, len(places), 3)
+    obs[..., :2] = torch.from_numpy(places)
+    pushes = torch.from_numpy(np.tile(tabular.MOVES, (400, 1))).float()
+    r = rewards(obs, pushes.expand(count, -1, -1)).double().numpy()
+    paid = {}
+    for name, maze_id in (("stuck", LEFT), ("expert", RIGHT)):
+        policy = demonstrations.expert(maze_id)
+        walks = rollout(policy, RIGHT, range(len(policy)), 3)
+        paid[name] = [
+            learned_returns(
+                walks, rewards.member(*[i] * len(policy))
+            ).mean()
+            for i in range(count)
+        ]
+    alike = [likeness(each.reshape(-1, 5), maze.reward) for each in r]
+    return {"likeness": alike, **paid}
