@@ -3,6 +3,7 @@
 import ast
 import inspect
 import itertools
+import json
 import os
 import re
 import shlex
@@ -274,6 +275,20 @@ def test_two_variants_teach_one_reward(minari_folder, own, tmp_path, monkeypatch
     reward = Reward.load("runs/both/reward.safetensors")
     assert reward.net.sizes[0] == 4
     assert len(reward) == 3
+
+
+def test_distances_of_variants_are_those_of_the_record():
+    record = json.loads((RECORDS / "rollouts/two_mazes.json").read_text("utf-8"))
+    times = {
+        name: [round(worlds / halves, 1) for worlds, halves in pairs]
+        for name, pairs in record["distances"].items()
+    }
+    names = ("Turned", "Weak", "Right", "Left")
+    ends = [f(times[f"PointMaze{name}"]) for name in names for f in (min, max)]
+    text = PAGE[PAGE.index("turned controls came to") :].split("\n\n")[0]
+    stated = re.findall(r"([\d.]+) to ([\d.]+[\d])", text)
+    pairs = [tuple(map(float, pair)) for pair in stated]
+    assert [x for pair in pairs for x in pair] == ends
 
 
 def test_flat_arrays_demonstrate(minari_folder, tmp_path, monkeypatch):
