@@ -18,7 +18,6 @@ from contextlib import ExitStack
 from functools import partial
 
 import torch
-from torch import Tensor
 from tqdm.auto import tqdm
 
 from offairl_lite.config import Config
@@ -146,7 +145,8 @@ def update(
     The reward steps by the mean of its gradients. To Adam their sum is the same, but so twice the
     same world gives the numbers of that world alone.
     """
-    gradients, metrics = [], dict[str, Tensor]()
+    gradients = []
+    metrics: Metrics = {}
     for i, (own, minibatch) in enumerate(zip(discriminators, minibatches, strict=True)):
         loss, diagnostics = own.loss(*minibatch)
         of_reward, of_value = torch.autograd.grad(loss, (own.reward_params, own.value_params))
