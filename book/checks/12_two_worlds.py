@@ -190,6 +190,20 @@ def one_continuous_maze(nets):
 
 
 @recorded
+def two_continuous_mazes(nets):
+    """From Left and turned controls the correlation is 0.94 to 0.96 and the
+    action's share 2 to 3 %, Right's experts are paid more again, and all
+    ten imitators arrive."""
+    both, one = nets["both"], nets["recorded"]["r(s, a)"]
+    like, share = both["likeness"].T
+    assert [round(x, 2) for x in (like.min(), like.max())] == [0.94, 0.96]
+    assert 0.015 < share.min() < share.max() < 0.03
+    assert share.max() < one["likeness"][:, 1].min()
+    assert (both["expert"] > both["stuck"] + 100).all()
+    assert min(ends.min() for ends in both["returns"].values()) > -14
+
+
+@recorded
 def only_turned_controls_stand_out(nets):
     """Turned controls are more than twice as far as halves of one maze; the
     moved wall and weak motors are not, in any of three draws."""
