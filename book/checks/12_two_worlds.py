@@ -150,3 +150,71 @@ def a_third_film(three):
     """A third film, with a low wall, fixes fourteen more directions."""
     assert separation(three[:2]).free == 136
     assert separation(three).free == 122
+
+
+@recorded
+def networks_need_it_less(nets):
+    """With free numbers one world scores -53 and at most 5 %, and two
+    100 %. With networks one world correlates at 0.84 to 0.90, two at 0.99,
+    and both score 99 %."""
+    one, two = (nets["game"][f"table, {n}"] for n in (1, 2))
+    assert np.abs(one[:, 0] - 0.4).max() < 0.02
+    assert np.abs(one[:, 2] + 0.53).max() < 0.005
+    assert 0 < one[:, 3].min() < one[:, 3].max() < 0.05
+    assert two[:, [0, 2, 3]].min() > 0.9995
+    one, two = (nets["game"][f"network, {n}"] for n in (1, 2))
+    assert 0.835 < one[:, 0].min() < one[:, 0].max() < 0.905
+    assert 0.99 < two[:, 0].min() < two[:, 0].max() < 0.995
+    assert min(one[:, 2:].min(), two[:, 2:].min()) > 0.985
+
+
+@recorded
+def the_action_hardly_counts(nets):
+    """Of one world's network 15 to 23 % of the variance is the action's,
+    of two worlds' below 1 %."""
+    one, two = (nets["game"][f"network, {n}"][:, 1] for n in (1, 2))
+    assert 0.15 < one.min() < one.max() < 0.235
+    assert two.max() < 0.01
+
+
+@recorded
+def one_continuous_maze(nets):
+    """Chapter 6's r(s, a) of PointMazeLeft correlate at 0.92 to 0.95 with
+    the true reward, 3 to 5 % are the action's, and all pay PointMazeRight's
+    experts more than those who are stuck there."""
+    of_pairs = nets["recorded"]["r(s, a)"]
+    like, share = of_pairs["likeness"].T
+    assert [round(x, 2) for x in (like.min(), like.max())] == [0.92, 0.95]
+    assert 0.03 < share.min() < share.max() < 0.055
+    assert (of_pairs["expert"] > of_pairs["stuck"] + 100).all()
+
+
+@recorded
+def two_continuous_mazes(nets):
+    """From Left and turned controls the correlation is 0.94 to 0.96 and the
+    action's share 2 to 3 %, Right's experts are paid more again, and all
+    ten imitators arrive."""
+    both, one = nets["both"], nets["recorded"]["r(s, a)"]
+    like, share = both["likeness"].T
+    assert [round(x, 2) for x in (like.min(), like.max())] == [0.94, 0.96]
+    assert 0.015 < share.min() < share.max() < 0.03
+    assert share.max() < one["likeness"][:, 1].min()
+    assert (both["expert"] > both["stuck"] + 100).all()
+    assert min(ends.min() for ends in both["returns"].values()) > -14
+
+
+@recorded
+def only_turned_controls_stand_out(nets):
+    """Turned controls are more than twice as far as halves of one maze; the
+    moved wall and weak motors are not, in any of three draws."""
+    apart = {
+        name.removeprefix("PointMaze"): pairs[:, 0] / pairs[:, 1]
+        for name, pairs in nets["distances"].items()
+    }
+    assert 2.2 < apart["Turned"].min() < apart["Turned"].max() < 2.5
+    for name, low, high in (
+        ("Left", 0.7, 1.4),
+        ("Right", 0.6, 1.0),
+        ("Weak", 0.9, 1.4),
+    ):
+        assert low < apart[name].min() < apart[name].max() < high, name

@@ -162,3 +162,34 @@ def game(histories: Mapping[str, Sequence[float]]) -> None:
     ax.set_ylim(0, 1.03)
     ax.legend(loc="lower right")
     plt.show()
+
+
+def networks(kept: Mapping[str, Mapping]) -> None:
+    """Draw the game with networks, and how far mazes are apart."""
+    with plots.style():
+        _, axes = plt.subplots(1, 2, figsize=(6.4, 3.3))
+    dots = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
+    for count, color in ((1, plots.ORANGE), (2, plots.BLUE)):
+        for x, form in enumerate(("table", "network")):
+            likes = kept["game"][f"{form}, {count}"][:, 0]
+            label = ("one world", "two worlds")[count - 1] if x else None
+            axes[0].plot([x] * 5, likes, color=color, label=label, **dots)
+    axes[0].set(xlim=(-0.6, 1.6), ylim=(0, 1.05), xticks=(0, 1))
+    axes[0].set_xticklabels(("free numbers", "networks"))
+    axes[0].set_ylabel("correlation with\nthe true reward")
+    axes[0].legend(loc="lower right")
+    names = "same\nagain", "wall\nmoved", "weak\nmotors", "turned\ncontrols"
+    for x, pairs in enumerate(kept["distances"].values()):
+        for part, color, label in (
+            (0, plots.BLUE, "two mazes"),
+            (1, plots.GREY, "halves of one"),
+        ):
+            at, label = [x + 0.2 * part - 0.1] * 3, None if x else label
+            axes[1].plot(
+                at, pairs[:, part], color=color, label=label, **dots
+            )
+    axes[1].set(xlim=(-0.5, 3.5), ylim=(0, 0.27), xticks=range(4))
+    axes[1].set_xticklabels(names)
+    axes[1].set_ylabel("estimated distance σ")
+    axes[1].legend(loc="upper left")
+    plt.show()

@@ -146,21 +146,21 @@ class Trainer:
 
     def train_on_block(self, steps: int) -> None:
         """Update the discriminator, and then the learner, once for each step of a block."""
-        experience = Experience(
-            self.config,
-            self.collector.replay,
-            self.demonstrations,
-            self.normaliser,
-            self.rng,
-            self.discriminator or self.frozen_reward,
-            # π as it acted, for both of them:
-            log_density(self.config, self.learner, self.steps),
-        )
+        experience = self.experience()
         for expert, policy, mixing in experience.discriminator_minibatches(steps):
             self.metrics |= self.update_discriminator(expert, policy, mixing)
         for minibatch in self.learner.minibatches(experience, steps, self.trained - steps):
             self.metrics |= self.update_learner(*minibatch)
         self.members.give_up_not_finite(self.steps)
+
+    def experience(self) -> Experience:
+        """Return what a block of steps is trained on."""
+        replay, source = self.collector.replay, self.discriminator or self.frozen_reward
+        # π as it acted, for both of them:
+        log_pi = log_density(self.config, self.learner, self.steps)
+        return Experience(
+            self.config, replay, self.demonstrations, self.normaliser, self.rng, source, log_pi
+        )
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""

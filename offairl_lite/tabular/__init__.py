@@ -10,8 +10,8 @@ weighted by the occupancy.
 """
 
 # ruff: noqa: F401, I001
-from offairl_lite.tabular.identification import Separation, counted, hidden, separation
-from offairl_lite.tabular.identification import shapings, shared_reward
+from offairl_lite.tabular.identification import Apart, Separation, apart, counted, hidden
+from offairl_lite.tabular.identification import separation, shapings, shared_reward
 from offairl_lite.tabular.maxent import Fit, log_likelihood, maxent_irl
 from offairl_lite.tabular.mazes import MOVES, Maze, maze
 from offairl_lite.tabular.mdp import MDP

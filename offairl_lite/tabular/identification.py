@@ -6,12 +6,13 @@ each of them (Cao, Cohen and Szpruch 2021; Rolland et al. 2022). Constants alway
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from scipy.cluster.vq import kmeans2, vq
 
 from offairl_lite.config.settings import Positive, checked
 from offairl_lite.tabular.mdp import MDP
@@ -134,6 +135,72 @@ def counted(
     shape = (num_states, num_actions)
     mdp = MDP(transition.reshape(*shape, num_states), initial, discount)
     return mdp, taken.reshape(shape)
+
+
+class Recorded(Protocol):
+    """N recorded steps of a world, such as `Demonstrations.transitions`: arrays or tensors."""
+
+    obs: Float[Array, "N O"]
+    next_obs: Float[Array, "N O"]
+
+    @property
+    def action(self) -> Float[Array, "N A"]:
+        """What was done."""
+
+
+class Apart(NamedTuple):
+    """How far worlds are apart, by their `worlds`' recordings, and how far `halves` of one are."""
+
+    worlds: float
+    halves: float
+
+
+def apart(
+    recordings: Sequence[Recorded],
+    num_states: int = 40,
+    num_actions: int = 5,
+    discount: float = 0.99,
+    seed: int = 0,
+) -> Apart:
+    """Estimate the distance of worlds from recordings with continuous observations and actions.
+
+    Observations, and actions, are put into clusters, and steps between them are counted. Halves of
+    one world are apart by chance alone, so the worlds themselves, in halves, must be much farther.
+    A distance is 0 if pairs of clusters that all have seen do not tell the worlds apart at all.
+
+    Args:
+        recordings: of each world, at least ten steps for each pair of clusters. Random actions tell
+            more than an expert, who shows few of them.
+        num_states: clusters of observations, which are scaled to unit variance.
+        num_actions: clusters of actions.
+        discount: γ of all worlds.
+        seed: of the clusters.
+    """
+    checked("recordings", len(recordings), Annotated[int, "of at least 2", lambda n: n > 1])
+    rng, worlds = np.random.default_rng(seed), range(len(recordings))
+    obs, action, to = (
+        [np.asarray(getattr(each, part), float) for each in recordings]
+        for part in ("obs", "action", "next_obs")
+    )
+    scale = np.concatenate(obs).std(0)
+    scale[scale < 1e-8] = 1
+    places = kmeans2(np.concatenate(obs) / scale, num_states, minit="++", seed=rng)[0]
+    commands = kmeans2(np.concatenate(action), num_actions, minit="++", seed=rng)[0]
+    halves = []
+    for i in worlds:
+        states = np.stack([vq(x / scale, places)[0] for x in (obs[i], to[i])], 1)
+        taken = vq(action[i], commands)[0][:, None]
+        middle = len(taken) // 2
+        for part in (slice(middle), slice(middle, None)):
+            steps = Trajectories(states[part], taken[part])
+            halves.append(counted(steps, num_states, num_actions, discount))
+
+    def distance(*chosen: int) -> float:
+        mdps, counts = zip(*(halves[i] for i in chosen), strict=True)
+        return separation(mdps, np.all(np.stack(counts) > 0, 0)).distance
+
+    by_chance = max(distance(2 * i, 2 * i + 1) for i in worlds)
+    return Apart(distance(*(2 * i for i in worlds)), by_chance)
 
 
 def _same_size(worlds: Sequence[MDP]) -> Sequence[MDP]:

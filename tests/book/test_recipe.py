@@ -3,6 +3,7 @@
 import ast
 import inspect
 import itertools
+import json
 import os
 import re
 import shlex
@@ -21,6 +22,7 @@ from offairl_lite import demonstrations
 from offairl_lite.analysis.statistics import difference, interquartile_mean
 from offairl_lite.config import flat_settings
 from offairl_lite.core.loop import train
+from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import action
 from offairl_lite.experiments import EXPERIMENTS
 from offairl_lite.runs import bench, cli, launch, records
@@ -253,6 +255,40 @@ def test_a_model_with_scaled_observations_demonstrates(minari_folder, sb3, tmp_p
         exec(code, {})
     exec(code.replace("at_least=-300", "at_least=-4000"), {})
     assert demonstrations.load("Pendulum-v1", 2, "own/scaled-v0").lengths == (200, 200)
+
+
+def test_two_variants_teach_one_reward(minari_folder, own, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    actions = gymnasium.spaces.Box(-1, 1, (2,))
+    for name, mass in (("Light-v0", 1.0), ("Heavy-v0", 4.0)):
+        env_id = own(f"mine/{name}", actions=actions, mass=mass)
+        demonstrations.generate(lambda obs: -obs.clip(-1, 1), env_id, 10, f"own/{name}")
+    compare, learn = (
+        block(word).replace("my_robot:", "mine/") for word in ("tabular.apart", "worlds.train")
+    )
+    exec(compare, known := {})
+    small = {"100_000": "20", "=1_000": "=10", '"r-sa"': '"r-sa", batch_size=4, hidden=(8,)'}
+    for number, smaller in small.items():
+        assert number in learn
+        learn = learn.replace(number, smaller)
+    exec(learn, known)
+    reward = Reward.load("runs/both/reward.safetensors")
+    assert reward.net.sizes[0] == 4
+    assert len(reward) == 3
+
+
+def test_distances_of_variants_are_those_of_the_record():
+    record = json.loads((RECORDS / "rollouts/two_mazes.json").read_text("utf-8"))
+    times = {
+        name: [round(worlds / halves, 1) for worlds, halves in pairs]
+        for name, pairs in record["distances"].items()
+    }
+    names = ("Turned", "Weak", "Right", "Left")
+    ends = [f(times[f"PointMaze{name}"]) for name in names for f in (min, max)]
+    text = PAGE[PAGE.index("turned controls came to") :].split("\n\n")[0]
+    stated = re.findall(r"([\d.]+) to ([\d.]+[\d])", text)
+    pairs = [tuple(map(float, pair)) for pair in stated]
+    assert [x for pair in pairs for x in pair] == ends
 
 
 def test_flat_arrays_demonstrate(minari_folder, tmp_path, monkeypatch):

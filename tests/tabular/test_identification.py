@@ -1,6 +1,7 @@
 """What several worlds tell of one reward, against exact solutions and proofs."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from processes import dense, random_mdp, random_policy, random_reward
 from offairl_lite import tabular
 from offairl_lite.tabular import (
     MDP,
+    apart,
     counted,
     hidden,
     sample,
@@ -211,3 +213,48 @@ def test_worlds_that_differ_look_further_apart_than_halves_of_one():
 def test_worlds_of_other_sizes_are_refused():
     with pytest.raises(ValueError, match="the same states and actions"):
         separation([random_mdp(), random_mdp(states=5)])
+
+
+class Line(NamedTuple):
+    """Steps on a line from 0 to 1: an action in [-1, 1] moves by `strength` tenths of it."""
+
+    obs: np.ndarray
+    action: np.ndarray
+    next_obs: np.ndarray
+
+
+def line(strength, seed, count=20_000):
+    rng = np.random.default_rng(seed)
+    obs, action = rng.uniform(0, 1, (count, 1)), rng.uniform(-1, 1, (count, 1))
+    return Line(obs, action, np.clip(obs + 0.1 * strength * action, 0, 1))
+
+
+def test_recordings_tell_whether_worlds_differ():
+    base, alike, weak, turned = line(1, 0), line(1, 1), line(0.5, 2), line(-1, 3)
+    same, differ, opposite = (
+        apart([base, other], num_states=15, num_actions=3) for other in (alike, weak, turned)
+    )
+    assert same.worlds < 1.5 * same.halves
+    assert differ.worlds > 2 * same.worlds
+    assert opposite.worlds > 5 * opposite.halves > 0
+
+
+def test_recorded_distances_are_those_of_the_counted_worlds():
+    """With as many clusters as places there is nothing to estimate but probabilities."""
+    mdps = [random_mdp(), random_mdp(10)]
+    recordings, rng = [], np.random.default_rng(0)
+    for mdp in mdps:
+        pairs = np.repeat(np.arange(18), 4_000)
+        cumulated = mdp.transition.toarray().cumsum(1)
+        to = (rng.random((len(pairs), 1)) > cumulated[pairs]).sum(1)
+        mixed = rng.permutation(len(pairs))
+        parts = (x[mixed, None] for x in (pairs // 3, pairs % 3, to))
+        recordings.append(Line(*parts))
+    found = apart(recordings, num_states=6, num_actions=3, discount=mdps[0].discount)
+    assert found.worlds == pytest.approx(separation(mdps).distance, rel=0.1)
+    assert found.halves < found.worlds / 5
+
+
+def test_one_recording_is_not_compared():
+    with pytest.raises(ValueError, match="recordings is 1"):
+        apart([line(1, 0)])
