@@ -108,10 +108,9 @@ class BottleneckConfig(DiscriminatorConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.reward == "gan-gcl" or self.reward_sees is not None:
+        if self.reward_sees is not None:
             raise ValueError(
-                "ablation='bottleneck' is for single transitions and plain networks: choose a "
-                "reward other than gan-gcl, and set reward_sees=None"
+                f"reward_sees is {self.reward_sees}, which is for plain networks: set it to None"
             )
 
 
@@ -124,8 +123,8 @@ class Bottleneck(Discriminator):
 
     config: BottleneckConfig
 
-    def __init__(self, config: BottleneckConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout, horizon)
+    def __init__(self, config: BottleneckConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
         self.multiplier = self.state["multiplier"] = zeros(layout, 1)
         self.quadrature = gauss_hermite().to(layout.device)
 

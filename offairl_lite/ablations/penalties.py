@@ -117,8 +117,8 @@ class SpectralNormConfig(DiscriminatorConfig):
 class SpectralNorm(Discriminator):
     """Divides each weight matrix of r and V by its largest singular value: slopes are at most 1."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout, horizon)
+    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
         nets = self.reward_net, self.value_net
         self.vectors = [zeros(layout, sum(net.sizes[1:])) for net in nets]
         self.state |= zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)

@@ -33,8 +33,8 @@ class StatePairsConfig(DiscriminatorConfig):
 class StatePairs(Discriminator):
     """Judges g(s, s'): the next state stands where the action does in DAC."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout._replace(action_dim=layout.obs_dim), horizon)
+    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+        super().__init__(config, layout._replace(action_dim=layout.obs_dim))
 
     def transitions(self, batch: Batch, log_prob: Vector) -> Transitions:
         """Return transitions as the discriminator looks at them: without their actions."""

@@ -45,8 +45,7 @@ class Schedule(Checked):
     then of the learner. None: the end of the episode, as in Algorithm 1. PPO learns from the
     block itself."""
     batch_size: Count = 100
-    """Transitions from the demonstrations, and as many from replay, in one update. GAN-GCL takes
-    as many whole episodes as that comes to."""
+    """Transitions from the demonstrations, and as many from replay, in one update."""
     replay_size: Count = 1_000_000
     """Transitions kept for each member; the oldest are overwritten. With PPO it says how far back
     the discriminator's negatives go: `train_every` is on-policy to the letter."""
@@ -161,8 +160,8 @@ class DiscriminatorConfig(Checked):
 
     reward: LearnedReward = "r-s"
     """What the learner maximises. AIRL's: the reward r(s), r(s, a), or the discriminator's logit
-    with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, GAIL's of either
-    sign, GAN-GCL's."""
+    with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, or GAIL's of
+    either sign. Records have GAN-GCL's, which is trained no more."""
     loss: Literal["airl", "airl-mixture", "log-ratio"] = "airl"
     """The logit of AIRL's discriminator. `airl`: f - log π, with π as it is now. `airl-mixture`:
     the same, with π mixed with the initial random actions, as replay has them, so that log π has

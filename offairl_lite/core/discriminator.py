@@ -5,8 +5,7 @@ It tells the expert's transitions (label 1) from the policy's (label 0). AIRL's 
 $$\ell = f(s, a, s') - \log \pi(a|s), \qquad f = r_\psi + \gamma V_\omega(s') - V_\omega(s),$$
 
 with $r_\psi(s)$ or $r_\psi(s, a)$. The log-ratio loss leaves $\log \pi$ out: $\ell = f$. GAIL's and
-DAC's is the special case $\ell = r_\psi(s, a)$, without shaping. GAN-GCL judges a whole episode:
-$\ell = \sum_t r_\psi(s_t, a_t) - \log \pi(a_t|s_t)$.
+DAC's is the special case $\ell = r_\psi(s, a)$, without shaping.
 """
 
 from functools import singledispatch
@@ -87,11 +86,6 @@ def diagnostics(loss: Loss, expert_logit: Vector, policy_logit: Vector) -> Metri
     }
 
 
-def per_episode(logit: Vector, horizon: int) -> Float[Tensor, "S E"]:
-    """Return the sum of the logits of each `horizon` steps (Finn et al. 2016)."""
-    return logit.unflatten(1, (-1, horizon)).sum(-1)
-
-
 class Transitions(NamedTuple):
     """What a discriminator looks at: scaled observations, actions, and log π beside them.
 
@@ -127,19 +121,18 @@ class Discriminator:
     """r and V of `S` members, and how they are trained; the weights are zeros until `init`.
 
     Observations come scaled. The penalty holds ‖∇f‖ near 1 in their coordinates, so their scale is
-    part of the algorithm. `horizon` steps are judged together: an episode's for GAN-GCL, else 1.
+    part of the algorithm.
     """
 
     log_prob_in_penalty = False
     """Whether the gradient penalty contains log π, of a policy that has one."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        self.config, self.horizon = config, horizon
+    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+        self.config = config
         self.is_airl = config.reward in IMPLEMENTATIONS
-        self.has_policy = self.is_airl or config.reward == "gan-gcl"
-        self.policy_in_logit = self.has_policy and config.loss != "log-ratio"
-        self.needs_log_prob = self.policy_in_logit or (self.has_policy and self.log_prob_in_penalty)
-        kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
+        self.policy_in_logit = self.is_airl and config.loss != "log-ratio"
+        self.needs_log_prob = self.policy_in_logit or (self.is_airl and self.log_prob_in_penalty)
+        kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, False))
         self.state_only, self.reward_is_logit = kind
         inputs = layout.obs_dim + (0 if self.state_only else layout.action_dim)
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), config.activation)
@@ -213,9 +206,9 @@ class Discriminator:
         f = shaped_reward(r, value, next_value, self.config.discount)
         return f, (by_obs - slope, by_action, self.config.discount * next_slope)
 
-    def logit(self, f: Vector, log_prob: Vector) -> Float[Tensor, "S E"]:
-        """Return ℓ = f - log π; GAN-GCL's is summed over each episode."""
-        return per_episode(log_odds(f, log_prob), self.horizon)
+    def logit(self, f: Vector, log_prob: Vector) -> Vector:
+        """Return ℓ = f - log π."""
+        return log_odds(f, log_prob)
 
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
@@ -270,8 +263,6 @@ class Discriminator:
 
 
 @singledispatch
-def make_discriminator(
-    config: DiscriminatorConfig, layout: Layout, horizon: int = 1
-) -> Discriminator:
+def make_discriminator(config: DiscriminatorConfig, layout: Layout) -> Discriminator:
     """Return the discriminator that its settings ask for; an ablation has settings of its own."""
-    return Discriminator(config, layout, horizon)
+    return Discriminator(config, layout)

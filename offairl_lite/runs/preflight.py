@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 
 from offairl_lite import envs
 from offairl_lite.config import Config, DiscriminatorConfig
-from offairl_lite.core.requirements import episode_length, require_inputs, require_match
+from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.demonstrations import Demonstrations
@@ -60,7 +60,6 @@ def check(
     require_match(config, seeds, env, shown, frozen, policy, things.get("pretrained_reward"), guide)
     if shown is None:
         return []
-    episode_length(config, shown)
     notes, ends = [], int(shown.transitions.terminated.sum())
     own = (shown.source or {"dataset": ""})["dataset"] is not None
     if ends and own and config.schedule.absorbing == "none":
