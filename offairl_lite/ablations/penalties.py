@@ -48,10 +48,6 @@ class OnProbability(Discriminator):
 
     log_prob_in_penalty = True
 
-    def logit(self, f: Vector, log_prob: Vector) -> Vector:
-        """Return ℓ = f - log π, or f alone: log π may be there for the penalty only."""
-        return super().logit(f, log_prob if self.policy_in_logit else torch.zeros_like(f))
-
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
         *shares, share = mixing.split(1, -1)
@@ -127,7 +123,7 @@ class SpectralNorm(Discriminator):
     def init(self, rng: Rng, reward: Reward | None = None) -> None:
         """Draw the initial weights, and vectors for the power iteration."""
         super().init(rng, reward)
-        for vectors, net in zip(self.vectors, self.networks(), strict=True):
+        for vectors, net in zip(self.vectors, self.trained, strict=True):
             vectors.copy_(init_vectors(net, rng))
 
     @property

@@ -8,6 +8,7 @@ with $r_\psi(s)$ or $r_\psi(s, a)$. The log-ratio loss leaves $\log \pi$ out: $\
 DAC's is the special case $\ell = r_\psi(s, a)$, without shaping.
 """
 
+from collections.abc import Callable
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -127,7 +128,12 @@ class Discriminator:
     log_prob_in_penalty = False
     """Whether the gradient penalty contains log π, of a policy that has one."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+    def __init__(
+        self,
+        config: DiscriminatorConfig,
+        layout: Layout,
+        wrap: Callable[[StackedMLP], Any] = lambda net: net,
+    ) -> None:
         self.config = config
         self.is_airl = config.reward in IMPLEMENTATIONS
         self.policy_in_logit = self.is_airl and config.loss != "log-ratio"
@@ -137,9 +143,11 @@ class Discriminator:
         inputs = layout.obs_dim + (0 if self.state_only else layout.action_dim)
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), config.activation)
         self.value_net = StackedMLP((layout.obs_dim, *config.shaping_hidden, 1), config.activation)
-        of_reward, of_value = self.networks()
-        self.reward_params = zeros(layout, of_reward.num_params)
-        self.value_params = zeros(layout, of_value.num_params)
+        # What is trained: these networks, or what an ablation makes of them.
+        self.trained = wrap(self.reward_net), wrap(self.value_net)
+        self.reward_params, self.value_params = (
+            zeros(layout, net.num_params) for net in self.trained
+        )
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
         # Everything that updates change: the tensors themselves.
@@ -155,9 +163,7 @@ class Discriminator:
     @torch.no_grad()
     def init(self, rng: Rng, reward: Reward | None = None) -> None:
         """Draw the initial weights, in place, or take those of r from an earlier reward."""
-        for params, net in zip(
-            (self.reward_params, self.value_params), self.networks(), strict=True
-        ):
+        for params, net in zip((self.reward_params, self.value_params), self.trained, strict=True):
             params.copy_(net.init(rng))
         if reward is not None:
             self.reward_params.copy_(reward.params)
@@ -167,10 +173,6 @@ class Discriminator:
         """The weights of `reward_net` and `value_net`, made of those that are trained."""
         seeing = self.reward_params if self.mask is None else self.reward_params * self.mask
         return seeing, self.value_params
-
-    def networks(self) -> tuple[Any, Any]:
-        """Return the networks whose weights are trained."""
-        return self.reward_net, self.value_net
 
     def transitions(self, batch: Batch, log_prob: Vector) -> Transitions:
         """Return scaled transitions as the discriminator looks at them."""
@@ -206,10 +208,6 @@ class Discriminator:
         f = shaped_reward(r, value, next_value, self.config.discount)
         return f, (by_obs - slope, by_action, self.config.discount * next_slope)
 
-    def logit(self, f: Vector, log_prob: Vector) -> Vector:
-        """Return ℓ = f - log π."""
-        return log_odds(f, log_prob)
-
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
         share = mixing[..., :1]  # for s, a and s' alike
@@ -222,9 +220,12 @@ class Discriminator:
         return (by_obs + by_action + by_next_obs + TINY).sqrt()
 
     def logits(self, expert: Transitions, policy: Transitions) -> tuple[Vector, Vector]:
-        """Return ℓ of the expert's and of the policy's transitions."""
-        expert_f, policy_f = self.f(both_sides(expert, policy)).chunk(2, 1)
-        return self.logit(expert_f, expert.log_prob), self.logit(policy_f, policy.log_prob)
+        """Return ℓ = f - log π, or ℓ = f, of the expert's and of the policy's transitions."""
+        both = both_sides(expert, policy)
+        f = self.f(both)
+        logit = log_odds(f, both.log_prob) if self.policy_in_logit else f
+        expert_logit, policy_logit = logit.chunk(2, 1)
+        return expert_logit, policy_logit
 
     def loss(
         self, expert: Transitions, policy: Transitions, mixing: Mixing
