@@ -95,7 +95,7 @@ class Code:
 class BottleneckConfig(DiscriminatorConfig):
     """The settings of a discriminator with a bottleneck."""
 
-    kind = "bottleneck"
+    kind, selects = "bottleneck", False
 
     bottleneck: Positive = 0.5
     """I_c: the most nats that a transition's stochastic code may carry, on average."""
@@ -105,13 +105,6 @@ class BottleneckConfig(DiscriminatorConfig):
 
     bottleneck_rate: Positive = 1e-5
     """Step of the dual ascent that enforces `bottleneck`."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reward_sees is not None:
-            raise ValueError(
-                f"reward_sees is {self.reward_sees}, which is for plain networks: set it to None"
-            )
 
 
 class Bottleneck(Discriminator):

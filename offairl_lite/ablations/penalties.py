@@ -100,14 +100,7 @@ def _unit(parts: Sequence[Tensor]) -> Tensor:
 class SpectralNormConfig(DiscriminatorConfig):
     """Spectral normalisation."""
 
-    kind = "spectral-norm"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reward_sees is not None:
-            raise ValueError(
-                f"reward_sees is {self.reward_sees}, which is for plain networks: set it to None"
-            )
+    kind, selects = "spectral-norm", False
 
 
 class SpectralNorm(Discriminator):

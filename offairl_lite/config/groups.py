@@ -158,6 +158,9 @@ class DiscriminatorConfig(Checked):
         name: f"discriminator_{name}" for name in ("discount", "activation", "updates")
     }
 
+    selects: ClassVar[bool] = True
+    """Whether `reward_sees` is of use."""
+
     reward: LearnedReward = "r-s"
     """What the learner maximises. AIRL's: the reward r(s), r(s, a), or the discriminator's logit
     with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, or GAIL's of
@@ -188,6 +191,11 @@ class DiscriminatorConfig(Checked):
 
     def conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
+        if self.reward_sees is not None and not self.selects:
+            yield (
+                f"reward_sees is {self.reward_sees}, and ablation={self.kind!r} sees all of an "
+                "observation: set it to None"
+            )
         pays_log_prob = self.reward.startswith("logit")
         if not (self.log_prob_in_reward or pays_log_prob):
             yield (
