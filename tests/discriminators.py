@@ -13,7 +13,7 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Layout
 
-OBS, ACT, B, HORIZON = 3, 2, 4, 2
+OBS, ACT, B = 3, 2, 4
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}
 CONFIGS = {
     "r(s)": CORRECTED.change(**SMALL),
@@ -35,15 +35,13 @@ CONFIGS = {
         reward="dac", ablation="bottleneck", bottleneck=0.5, **SMALL
     ),
     "state pairs": CORRECTED.change(reward="dac", ablation="state-pairs", **SMALL),
-    "gan-gcl": CORRECTED.change(reward="gan-gcl", learner="ppo", train_every=HORIZON, **SMALL),
 }
 AIRL = [name for name in CONFIGS if "r(s" in name]
 
 
 def make(config, seeds=(0, 1), dtype=torch.float64, learning_rate=None):
     """A discriminator with random weights; double precision, unless it is to be trained."""
-    horizon = HORIZON if config.reward == "gan-gcl" else 1
-    made = make_discriminator(config.discriminator, Layout(len(seeds), OBS, ACT), horizon)
+    made = make_discriminator(config.discriminator, Layout(len(seeds), OBS, ACT))
     made.init(Rng(seeds))
     if learning_rate is not None:
         made.reward_optimizer.learning_rate = made.value_optimizer.learning_rate = learning_rate

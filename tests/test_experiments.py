@@ -81,7 +81,7 @@ def test_the_on_policy_experiments_discriminate_their_own_block_and_differ_in_th
             if scale == "demo":
                 assert config.total_steps % config.schedule.train_every == 0
     assert rewards == {
-        *("gail-survival", "gail-termination", "dac", "gan-gcl"),
+        *("gail-survival", "gail-termination", "dac"),
         *("logit-sa", "logit-s"),
     }
 

@@ -10,7 +10,6 @@ CONFIGS = [
     {"reward": "r-sa", "reward_sees": (0, 2), **MCP},
     {"reward": "environment", "temperature": None, "normalise": False},
     {"reward": "gail-survival", "learner": "ppo", "train_every": 30, "replay_size": 60},
-    {"reward": "gan-gcl", "learner": "ppo", "train_every": 100, "replay_size": 100},
     {"reward": "iq-learn"},
     {"ablation": "spectral-norm"},
     {"ablation": "bottleneck"},

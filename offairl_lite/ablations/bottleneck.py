@@ -95,7 +95,7 @@ class Code:
 class BottleneckConfig(DiscriminatorConfig):
     """The settings of a discriminator with a bottleneck."""
 
-    kind = "bottleneck"
+    kind, selects = "bottleneck", False
 
     bottleneck: Positive = 0.5
     """I_c: the most nats that a transition's stochastic code may carry, on average."""
@@ -105,14 +105,6 @@ class BottleneckConfig(DiscriminatorConfig):
 
     bottleneck_rate: Positive = 1e-5
     """Step of the dual ascent that enforces `bottleneck`."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reward == "gan-gcl" or self.reward_sees is not None:
-            raise ValueError(
-                "ablation='bottleneck' is for single transitions and plain networks: choose a "
-                "reward other than gan-gcl, and set reward_sees=None"
-            )
 
 
 class Bottleneck(Discriminator):
@@ -124,31 +116,26 @@ class Bottleneck(Discriminator):
 
     config: BottleneckConfig
 
-    def __init__(self, config: BottleneckConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout, horizon)
+    def __init__(self, config: BottleneckConfig, layout: Layout) -> None:
+        super().__init__(config, layout, lambda net: Code(net, config.bottleneck_size))
         self.multiplier = self.state["multiplier"] = zeros(layout, 1)
         self.quadrature = gauss_hermite().to(layout.device)
-
-    def networks(self) -> tuple[Code, Code]:
-        """Return the codes, whose encoders and heads are trained."""
-        size = self.config.bottleneck_size
-        self.reward_code, self.value_code = Code(self.reward_net, size), Code(self.value_net, size)
-        return self.reward_code, self.value_code
 
     @property
     def weights(self) -> tuple[OtherParams, OtherParams]:
         """The weights of `reward_net` and `value_net`, which r and V are at the code's mean."""
-        value = self.value_code.at_mean(self.value_params)
-        return self.reward_code.at_mean(self.reward_params), value
+        of_reward, of_value = self.trained
+        return of_reward.at_mean(self.reward_params), of_value.at_mean(self.value_params)
 
     def spread(self, transitions: Transitions) -> tuple[Vector, Vector]:
         """Return the variance of f through the code, and the code's divergence in nats."""
+        of_reward, of_value = self.trained
         x = self.reward_input(transitions)
-        variance, divergence = self.reward_code.spread(self.reward_params, x)
+        variance, divergence = of_reward.spread(self.reward_params, x)
         if not self.is_airl:
             return variance, divergence
         states = torch.cat([transitions.obs, transitions.next_obs], 1)
-        both = self.value_code.spread(self.value_params, states)
+        both = of_value.spread(self.value_params, states)
         (now, then), (divergence_now, divergence_then) = (part.chunk(2, 1) for part in both)
         variance = variance + now + self.config.discount**2 * then
         return variance, divergence + divergence_now + divergence_then

@@ -48,10 +48,6 @@ class OnProbability(Discriminator):
 
     log_prob_in_penalty = True
 
-    def logit(self, f: Vector, log_prob: Vector) -> Vector:
-        """Return ℓ = f - log π, or f alone: log π may be there for the penalty only."""
-        return super().logit(f, log_prob if self.policy_in_logit else torch.zeros_like(f))
-
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
         *shares, share = mixing.split(1, -1)
@@ -104,21 +100,14 @@ def _unit(parts: Sequence[Tensor]) -> Tensor:
 class SpectralNormConfig(DiscriminatorConfig):
     """Spectral normalisation."""
 
-    kind = "spectral-norm"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reward_sees is not None:
-            raise ValueError(
-                f"reward_sees is {self.reward_sees}, which is for plain networks: set it to None"
-            )
+    kind, selects = "spectral-norm", False
 
 
 class SpectralNorm(Discriminator):
     """Divides each weight matrix of r and V by its largest singular value: slopes are at most 1."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout, horizon)
+    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+        super().__init__(config, layout)
         nets = self.reward_net, self.value_net
         self.vectors = [zeros(layout, sum(net.sizes[1:])) for net in nets]
         self.state |= zip(("reward.vectors", "value.vectors"), self.vectors, strict=True)
@@ -127,7 +116,7 @@ class SpectralNorm(Discriminator):
     def init(self, rng: Rng, reward: Reward | None = None) -> None:
         """Draw the initial weights, and vectors for the power iteration."""
         super().init(rng, reward)
-        for vectors, net in zip(self.vectors, self.networks(), strict=True):
+        for vectors, net in zip(self.vectors, self.trained, strict=True):
             vectors.copy_(init_vectors(net, rng))
 
     @property

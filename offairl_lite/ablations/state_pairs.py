@@ -19,22 +19,20 @@ from offairl_lite.core.shapes import Layout, Vector
 class StatePairsConfig(DiscriminatorConfig):
     """State-only DAC."""
 
-    kind = "state-pairs"
+    kind, selects = "state-pairs", False
 
     def conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
         yield from super().conflicts()
         if self.reward not in OF_LOGIT:
             yield f"reward {self.reward!r} has a form of its own: use reward='dac', or gail's"
-        if self.reward_sees is not None:
-            yield f"reward_sees is {self.reward_sees}, and g sees both states whole: set it to None"
 
 
 class StatePairs(Discriminator):
     """Judges g(s, s'): the next state stands where the action does in DAC."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        super().__init__(config, layout._replace(action_dim=layout.obs_dim), horizon)
+    def __init__(self, config: DiscriminatorConfig, layout: Layout) -> None:
+        super().__init__(config, layout._replace(action_dim=layout.obs_dim))
 
     def transitions(self, batch: Batch, log_prob: Vector) -> Transitions:
         """Return transitions as the discriminator looks at them: without their actions."""

@@ -76,8 +76,6 @@ class Config:
             yield f"absorbing={absorbing!r} is for learned rewards: set absorbing='none'"
         if absorbing == "analytic" and self.learner.discount == 1:
             yield "absorbing='analytic' divides by 1 - discount: set discount below 1"
-        if reward == "gan-gcl" and not ppo:
-            yield "reward 'gan-gcl' is for whole episodes of the present policy: use learner='ppo'"
         if reward in get_args(Implementation) and isinstance(self.learner, TD3Config):
             yield f"reward {reward!r} needs log π, and td3's policy has none: use learner='sac'"
         yield from self._label_conflicts()

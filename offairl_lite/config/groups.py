@@ -45,8 +45,7 @@ class Schedule(Checked):
     then of the learner. None: the end of the episode, as in Algorithm 1. PPO learns from the
     block itself."""
     batch_size: Count = 100
-    """Transitions from the demonstrations, and as many from replay, in one update. GAN-GCL takes
-    as many whole episodes as that comes to."""
+    """Transitions from the demonstrations, and as many from replay, in one update."""
     replay_size: Count = 1_000_000
     """Transitions kept for each member; the oldest are overwritten. With PPO it says how far back
     the discriminator's negatives go: `train_every` is on-policy to the letter."""
@@ -159,10 +158,13 @@ class DiscriminatorConfig(Checked):
         name: f"discriminator_{name}" for name in ("discount", "activation", "updates")
     }
 
+    selects: ClassVar[bool] = True
+    """Whether `reward_sees` is of use."""
+
     reward: LearnedReward = "r-s"
     """What the learner maximises. AIRL's: the reward r(s), r(s, a), or the discriminator's logit
-    with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, GAIL's of either
-    sign, GAN-GCL's."""
+    with either of them (the paper's Implementations 4, 3, 2 and 1). Or DAC's, or GAIL's of
+    either sign. Records have GAN-GCL's, which is trained no more."""
     loss: Literal["airl", "airl-mixture", "log-ratio"] = "airl"
     """The logit of AIRL's discriminator. `airl`: f - log π, with π as it is now. `airl-mixture`:
     the same, with π mixed with the initial random actions, as replay has them, so that log π has
@@ -189,6 +191,11 @@ class DiscriminatorConfig(Checked):
 
     def conflicts(self) -> Iterator[str]:
         """Yield what does not fit together, and what to do about it."""
+        if self.reward_sees is not None and not self.selects:
+            yield (
+                f"reward_sees is {self.reward_sees}, and ablation={self.kind!r} sees all of an "
+                "observation: set it to None"
+            )
         pays_log_prob = self.reward.startswith("logit")
         if not (self.log_prob_in_reward or pays_log_prob):
             yield (

@@ -5,10 +5,10 @@ It tells the expert's transitions (label 1) from the policy's (label 0). AIRL's 
 $$\ell = f(s, a, s') - \log \pi(a|s), \qquad f = r_\psi + \gamma V_\omega(s') - V_\omega(s),$$
 
 with $r_\psi(s)$ or $r_\psi(s, a)$. The log-ratio loss leaves $\log \pi$ out: $\ell = f$. GAIL's and
-DAC's is the special case $\ell = r_\psi(s, a)$, without shaping. GAN-GCL judges a whole episode:
-$\ell = \sum_t r_\psi(s_t, a_t) - \log \pi(a_t|s_t)$.
+DAC's is the special case $\ell = r_\psi(s, a)$, without shaping.
 """
 
+from collections.abc import Callable
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -87,11 +87,6 @@ def diagnostics(loss: Loss, expert_logit: Vector, policy_logit: Vector) -> Metri
     }
 
 
-def per_episode(logit: Vector, horizon: int) -> Float[Tensor, "S E"]:
-    """Return the sum of the logits of each `horizon` steps (Finn et al. 2016)."""
-    return logit.unflatten(1, (-1, horizon)).sum(-1)
-
-
 class Transitions(NamedTuple):
     """What a discriminator looks at: scaled observations, actions, and log π beside them.
 
@@ -127,26 +122,32 @@ class Discriminator:
     """r and V of `S` members, and how they are trained; the weights are zeros until `init`.
 
     Observations come scaled. The penalty holds ‖∇f‖ near 1 in their coordinates, so their scale is
-    part of the algorithm. `horizon` steps are judged together: an episode's for GAN-GCL, else 1.
+    part of the algorithm.
     """
 
     log_prob_in_penalty = False
     """Whether the gradient penalty contains log π, of a policy that has one."""
 
-    def __init__(self, config: DiscriminatorConfig, layout: Layout, horizon: int = 1) -> None:
-        self.config, self.horizon = config, horizon
+    def __init__(
+        self,
+        config: DiscriminatorConfig,
+        layout: Layout,
+        wrap: Callable[[StackedMLP], Any] = lambda net: net,
+    ) -> None:
+        self.config = config
         self.is_airl = config.reward in IMPLEMENTATIONS
-        self.has_policy = self.is_airl or config.reward == "gan-gcl"
-        self.policy_in_logit = self.has_policy and config.loss != "log-ratio"
-        self.needs_log_prob = self.policy_in_logit or (self.has_policy and self.log_prob_in_penalty)
-        kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, self.has_policy))
+        self.policy_in_logit = self.is_airl and config.loss != "log-ratio"
+        self.needs_log_prob = self.policy_in_logit or (self.is_airl and self.log_prob_in_penalty)
+        kind = IMPLEMENTATIONS.get(config.reward, Implementation(False, False))
         self.state_only, self.reward_is_logit = kind
         inputs = layout.obs_dim + (0 if self.state_only else layout.action_dim)
         self.reward_net = StackedMLP((inputs, *config.reward_hidden, 1), config.activation)
         self.value_net = StackedMLP((layout.obs_dim, *config.shaping_hidden, 1), config.activation)
-        of_reward, of_value = self.networks()
-        self.reward_params = zeros(layout, of_reward.num_params)
-        self.value_params = zeros(layout, of_value.num_params)
+        # What is trained: these networks, or what an ablation makes of them.
+        self.trained = wrap(self.reward_net), wrap(self.value_net)
+        self.reward_params, self.value_params = (
+            zeros(layout, net.num_params) for net in self.trained
+        )
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
         # Everything that updates change: the tensors themselves.
@@ -162,9 +163,7 @@ class Discriminator:
     @torch.no_grad()
     def init(self, rng: Rng, reward: Reward | None = None) -> None:
         """Draw the initial weights, in place, or take those of r from an earlier reward."""
-        for params, net in zip(
-            (self.reward_params, self.value_params), self.networks(), strict=True
-        ):
+        for params, net in zip((self.reward_params, self.value_params), self.trained, strict=True):
             params.copy_(net.init(rng))
         if reward is not None:
             self.reward_params.copy_(reward.params)
@@ -174,10 +173,6 @@ class Discriminator:
         """The weights of `reward_net` and `value_net`, made of those that are trained."""
         seeing = self.reward_params if self.mask is None else self.reward_params * self.mask
         return seeing, self.value_params
-
-    def networks(self) -> tuple[Any, Any]:
-        """Return the networks whose weights are trained."""
-        return self.reward_net, self.value_net
 
     def transitions(self, batch: Batch, log_prob: Vector) -> Transitions:
         """Return scaled transitions as the discriminator looks at them."""
@@ -213,10 +208,6 @@ class Discriminator:
         f = shaped_reward(r, value, next_value, self.config.discount)
         return f, (by_obs - slope, by_action, self.config.discount * next_slope)
 
-    def logit(self, f: Vector, log_prob: Vector) -> Float[Tensor, "S E"]:
-        """Return ℓ = f - log π; GAN-GCL's is summed over each episode."""
-        return per_episode(log_odds(f, log_prob), self.horizon)
-
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
         share = mixing[..., :1]  # for s, a and s' alike
@@ -229,9 +220,12 @@ class Discriminator:
         return (by_obs + by_action + by_next_obs + TINY).sqrt()
 
     def logits(self, expert: Transitions, policy: Transitions) -> tuple[Vector, Vector]:
-        """Return ℓ of the expert's and of the policy's transitions."""
-        expert_f, policy_f = self.f(both_sides(expert, policy)).chunk(2, 1)
-        return self.logit(expert_f, expert.log_prob), self.logit(policy_f, policy.log_prob)
+        """Return ℓ = f - log π, or ℓ = f, of the expert's and of the policy's transitions."""
+        both = both_sides(expert, policy)
+        f = self.f(both)
+        logit = log_odds(f, both.log_prob) if self.policy_in_logit else f
+        expert_logit, policy_logit = logit.chunk(2, 1)
+        return expert_logit, policy_logit
 
     def loss(
         self, expert: Transitions, policy: Transitions, mixing: Mixing
@@ -270,8 +264,6 @@ class Discriminator:
 
 
 @singledispatch
-def make_discriminator(
-    config: DiscriminatorConfig, layout: Layout, horizon: int = 1
-) -> Discriminator:
+def make_discriminator(config: DiscriminatorConfig, layout: Layout) -> Discriminator:
     """Return the discriminator that its settings ask for; an ablation has settings of its own."""
-    return Discriminator(config, layout, horizon)
+    return Discriminator(config, layout)

@@ -73,14 +73,10 @@ class Experience:
         discriminator, rng = self.source, self.rng
         if not isinstance(discriminator, Discriminator) or self.demonstrations is None:
             return
-        horizon = discriminator.horizon
-        size = max(self.config.schedule.batch_size // horizon, 1) * horizon
+        size = self.batch_size
         for minibatches in chunks(discriminator.config.updates or steps):
             count = minibatches * size
-            drawn = (
-                sample(self.demonstrations, rng, count, horizon),
-                self.replay.sample(rng, count, horizon),
-            )
+            drawn = sample(self.demonstrations, rng, count), self.replay.sample(rng, count)
             mixing = rng.uniform(count, 4)
             sides = []
             for batch in map(self.scaled, drawn):

@@ -28,11 +28,7 @@ from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, make_replay
-from offairl_lite.core.requirements import (
-    episode_length,
-    require_inputs,
-    require_match,
-)
+from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
@@ -97,8 +93,7 @@ class Trainer:
         self.update_learner = execution.accelerate(self.learner.update, config.learner.hidden)
         self.discriminator = None
         if isinstance(config.discriminator, DiscriminatorConfig):
-            horizon = episode_length(config, demonstrations)
-            self.discriminator = make_discriminator(config.discriminator, layout, horizon)
+            self.discriminator = make_discriminator(config.discriminator, layout)
             self.update_discriminator = execution.accelerate(
                 self.discriminator.update,
                 config.discriminator.reward_hidden + config.discriminator.shaping_hidden,
@@ -210,10 +205,6 @@ class Trainer:
 
     def block_ends(self, ended: Bool[np.ndarray, "S"]) -> bool:
         """Return whether a block of steps is over; `ended`: whose episodes just ended."""
-        horizon = 1 if self.discriminator is None else self.discriminator.horizon
-        if horizon > 1 and (ended != (self.steps % horizon == 0)).any():
-            why = f"{horizon} as demonstrated, and {self.config.env_id} has ended one elsewhere"
-            raise ValueError(f"gan-gcl compares whole episodes of one length, {why}")
         if self.schedule.train_every is not None:
             return self.steps - self.block_start == self.schedule.train_every
         if ended.any() and not ended.all():

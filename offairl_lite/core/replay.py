@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,16 +64,9 @@ def unpack(rows: Float[Tensor, "*batch D"], obs_dim: int) -> Batch:
     return Batch(obs, pre_tanh, next_obs, reward.squeeze(-1), terminated.squeeze(-1))
 
 
-def choose(rng: Rng, rows: Sequence[int], count: int, horizon: int = 1) -> Int[Tensor, "S _"]:
-    """Draw `count` of each member's `rows`: with a horizon, episodes of so many rows each."""
-    episode = rng.integers([n // horizon for n in rows], count // horizon)
-    steps = torch.arange(horizon, device=rng.device)
-    return (episode.unsqueeze(-1) * horizon + steps).flatten(1)
-
-
-def sample(demonstrations: Batch, rng: Rng, count: int, horizon: int = 1) -> Batch:
-    """Draw `count` of demonstrated transitions, axes `N`, for each member, see `choose`."""
-    index = choose(rng, [len(demonstrations.obs)] * len(rng), count, horizon)
+def sample(demonstrations: Batch, rng: Rng, count: int) -> Batch:
+    """Draw `count` of demonstrated transitions, axes `N`, for each member."""
+    index = rng.integers([len(demonstrations.obs)] * len(rng), count)
     return Batch(*(part[index] for part in demonstrations))
 
 
@@ -130,13 +123,12 @@ class Replay:
             raise ValueError(f"the last {count} transitions are wanted; held are {self.sizes}")
         return self._gather(self.added.unsqueeze(1) - count + torch.arange(count))
 
-    def sample(self, rng: Rng, count: int, horizon: int = 1) -> Batch:
-        """Draw `count` transitions of each member, see `choose`: axes `S count`."""
-        if min(sizes := self.sizes) < horizon:
-            why = f"is empty (sizes {sizes}) or has no whole episode"
-            raise ValueError(f"a member's replay {why}: add to it")
+    def sample(self, rng: Rng, count: int) -> Batch:
+        """Draw `count` transitions of each member: axes `S count`."""
+        if not min(sizes := self.sizes):
+            raise ValueError(f"a member's replay is empty (sizes {sizes}): add to it")
         oldest = (self.added - torch.tensor(sizes)).unsqueeze(1)
-        return self._gather(oldest + choose(rng, sizes, count, horizon).cpu())
+        return self._gather(oldest + rng.integers(sizes, count).cpu())
 
     def _gather(self, position: Int[Tensor, "S M"]) -> Batch:
         """Return transitions by their place in the order in which they were added."""

@@ -32,6 +32,11 @@ def require_inputs(
     for name, (value, kind) in inputs.items():
         if not isinstance(value, kind) and (value is not None or name == "config"):
             raise ValueError(f"{name} is {value!r}; expected a {kind.__name__}")
+    if config.reward == "gan-gcl":
+        raise ValueError(
+            "GAN-GCL is a page now: it is read from records, and trained in "
+            "book/notes/whole_trajectories; choose another reward"
+        )
     if not seeds:
         raise ValueError("no seeds: give one for each member of the population")
     if len(set(seeds)) < len(seeds):
@@ -166,18 +171,3 @@ def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_di
             f"{obs_dim} and {action_dim}: set absorbing as the reward's run did, or give the "
             "reward of a task like this one"
         )
-
-
-def episode_length(config: Config, demonstrations: Demonstrations | None) -> int:
-    """Return how many steps the discriminator judges together: 1, or GAN-GCL's whole episodes."""
-    if config.reward != "gan-gcl" or demonstrations is None:
-        return 1
-    lengths, schedule = set(demonstrations.lengths), config.schedule
-    multiples = schedule.learning_starts, schedule.train_every or 0, schedule.replay_size
-    if len(lengths) > 1 or any(n % min(lengths) for n in multiples):
-        raise ValueError(
-            "gan-gcl compares whole episodes of one length: the demonstrations have "
-            f"{min(lengths)} to {max(lengths)} steps, and learning_starts, train_every and "
-            f"replay_size, {multiples}, must be multiples of that"
-        )
-    return lengths.pop()

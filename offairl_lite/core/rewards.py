@@ -1,8 +1,7 @@
 r"""The generator's reward: one function a variant, with the expert labelled 1.
 
 A discriminator is a logit $\ell$ with $D = \sigma(\ell)$, so $\log D - \log(1 - D) = \ell$.
-AIRL's is $\ell = f - \log \pi$. GAN-GCL's, of a whole episode, is the sum of its steps'
-$r(s, a) - \log \pi$, so that each step's share of it is log odds, too.
+AIRL's is $\ell = f - \log \pi$.
 """
 
 from dataclasses import asdict, dataclass
@@ -35,7 +34,7 @@ IMPLEMENTATIONS = {
 
 
 def log_odds(f: Vector, log_prob: Vector) -> Vector:
-    """Return log D - log(1 - D) = f - log π: Implementations 1 and 2, and GAN-GCL."""
+    """Return log D - log(1 - D) = f - log π: Implementations 1 and 2."""
     return f - log_prob
 
 

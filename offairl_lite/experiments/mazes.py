@@ -127,13 +127,12 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=base.DAC,
     ),
     "maze-airl-ppo": _maze(
-        "What came before off-policy AIRL, with PPO: AIRL with r(s) and r(s, a), and GAN-GCL",
+        "What came before off-policy AIRL: AIRL with PPO, with r(s) and r(s, a)",
         {**base.ON_POLICY, **_OF_STATE},
         demo=_ON_POLICY_DEMO,
         variants={
             "state": _OF_STATE,
             "state-action": base.REWARDS["implementation-1"],
-            "gan-gcl": {"reward": "gan-gcl"},
         },
     ),
     "maze-retraining": _maze(

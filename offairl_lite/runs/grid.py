@@ -14,9 +14,9 @@ from offairl_lite.experiments import Experiment
 from offairl_lite.scale import Scale
 
 HELP = {
-    "reward": "What the learner maximises: a variant of the paper's reward, DAC's, GAIL's of "
-    "either sign, or GAN-GCL's; the task's own (environment); one that was learned before "
-    "(frozen); or, with SAC, labels instead of a reward (sqil, iq-learn).",
+    "reward": "What the learner maximises: a variant of the paper's reward, DAC's, or GAIL's of "
+    "either sign; the task's own (environment); one that was learned before (frozen); or, with "
+    "SAC, labels instead of a reward (sqil, iq-learn). gan-gcl is in records alone.",
     "learner": "What trains the policy. sac-released is SAC as in the paper's released code.",
     "ablation": "Another bound on the discriminator, from chapter 6. None: the gradient penalty.",
 }

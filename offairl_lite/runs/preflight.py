@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 
 from offairl_lite import envs
 from offairl_lite.config import Config, DiscriminatorConfig
-from offairl_lite.core.requirements import episode_length, require_inputs, require_match
+from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.demonstrations import Demonstrations
@@ -64,7 +64,6 @@ def check(
     )
     if demos is None:
         return []
-    episode_length(config, demos)
     notes, ends = [], int(demos.transitions.terminated.sum())
     own_data = (demos.source or {"dataset": ""})["dataset"] is not None
     if ends and own_data and config.schedule.absorbing == "none":

@@ -132,8 +132,6 @@ def _checked(mdp: MDP, demonstrated: Array, temperature: float) -> Float[Array, 
     shape = (mdp.num_states, mdp.num_actions)
     if demonstrated.shape != shape:
         raise ValueError(f"demonstrated must have shape {shape}, not {demonstrated.shape}")
-    if not ((demonstrated >= 0) & (demonstrated < np.inf)).all():
-        raise ValueError("demonstrated must hold visits, which are at least 0 and finite")
     if not np.isclose(demonstrated.sum(), mdp.total_visits, rtol=1e-4):
         raise ValueError(
             f"demonstrated adds up to {demonstrated.sum():.6g}, but every occupancy of the process "

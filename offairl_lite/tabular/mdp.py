@@ -30,23 +30,15 @@ class MDP:
     def __post_init__(self):
         transition = _as_matrix(self.transition)
         rows, states = transition.shape
-        wrong = np.flatnonzero(~are_distributions(transition)).tolist()
-        if wrong:
-            s, a = divmod(wrong[0], rows // states)
-            row = transition[wrong[:1]].toarray()
+        for wrong in np.flatnonzero(~are_distributions(transition)).tolist():
+            s, a = divmod(wrong, rows // states)
+            total = transition[[wrong]].sum()
             raise ValueError(
-                f"transition: the probabilities p(· | s={s}, a={a}) must be at least 0 and sum to "
-                f"1, but the least is {row.min():.6g} and the sum {row.sum():.6g} ({len(wrong)} of "
-                f"{rows} rows are wrong)"
+                f"p(· | s={s}, a={a}) must be at least 0 and sum to 1, not {total:.6g}"
             )
         initial = np.asarray(self.initial, dtype=float)
-        if initial.shape != (states,):
-            raise ValueError(f"initial must have shape ({states},), not {initial.shape}")
-        if not are_distributions(initial[None]).all():
-            raise ValueError(
-                f"initial must be at least 0 and sum to 1; its least value is {initial.min():.6g} "
-                f"and its sum {initial.sum():.6g}"
-            )
+        if initial.shape != (states,) or not are_distributions(initial[None]).all():
+            raise ValueError(f"initial must be ({states},), at least 0 and sum to 1, not {initial}")
         checked("horizon", self.horizon, Count | None)
         checked("discount", self.discount, Fraction)
         if self.horizon is None and self.discount == 1:
@@ -105,9 +97,8 @@ class MDP:
             raise ValueError(f"policy must have shape {allowed}, not {policy.shape}")
         if not are_distributions(policy.reshape(-1, shape[1])).all():
             raise ValueError(
-                "policy must be at least 0 and sum to 1 over the actions of every state; the sums "
-                f"are from {policy.sum(-1).min():.6g} to {policy.sum(-1).max():.6g} (pass "
-                "probabilities, not their logarithms)"
+                "policy must be at least 0 and sum to 1 over the actions of every state: pass "
+                "probabilities, not their logarithms"
             )
         return np.broadcast_to(policy, timed)
 

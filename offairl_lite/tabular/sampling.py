@@ -61,23 +61,12 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
 
 def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
     """Raise ValueError unless these trajectories can come from the process."""
-    fits = states.ndim == 2 and (len(states), states.shape[1] - 1) == actions.shape
-    if not fits or 0 in actions.shape:
-        raise ValueError(
-            f"expected states (N, T + 1) and actions (N, T), got {states.shape} and {actions.shape}"
-        )
     length = actions.shape[1]
     if mdp.horizon not in (None, length):
         raise ValueError(
             f"trajectories of {length} actions cannot be compared with occupancies over the "
             f"horizon {mdp.horizon}; make the two equal"
         )
-    limits = ("state", states, mdp.num_states), ("action", actions, mdp.num_actions)
-    for name, index, bound in limits:
-        low, high = index.min(), index.max()
-        if low < 0 or high >= bound:
-            actual = f"they are from {low} to {high}"
-            raise ValueError(f"a {name} must be from 0 to {bound - 1}, but {actual}")
     pairs = states[:, :-1] * mdp.num_actions + actions
     chance = mdp.transition[pairs.ravel(), states[:, 1:].ravel()]
     for n, t in np.argwhere(chance.reshape(actions.shape) == 0):

@@ -85,10 +85,10 @@ def test_the_spread_of_f_is_that_of_sampled_codes(name):
     config, discriminator, batch = CONFIGS[name], make(CONFIGS[name]), data()[0]
     transitions = seen(discriminator, batch)
     x = transitions.obs if "r(s)" in name else torch.cat([transitions.obs, transitions.action], -1)
-    terms = [(discriminator.reward_code, discriminator.reward_params, x, 1.0)]
+    terms = [(discriminator.trained[0], discriminator.reward_params, x, 1.0)]
     if "r(s)" in name:
         gamma = config.discriminator.discount
-        code, params = discriminator.value_code, discriminator.value_params
+        code, params = discriminator.trained[1], discriminator.value_params
         terms += [
             (code, params, transitions.obs, -1.0),
             (code, params, transitions.next_obs, gamma),

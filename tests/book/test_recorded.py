@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from offairl_lite.config import CORRECTED, differences, flat_settings
-from offairl_lite.core.discriminator import Discriminator
+from offairl_lite.core import discriminator
+from offairl_lite.core.discriminator import Discriminator, Transitions
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import Normaliser, load_weights
 from offairl_lite.core.policies import Policy, make_actor
@@ -34,6 +35,7 @@ RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r i
 # about, and is named here.
 LENGTH = {"total_steps"}
 VARIED = {
+    "maze-airl-ppo-demo/gan-gcl": {"reward"},
     "maze-imitation-2-demo": {"reward"},
     "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
     "maze-imitation-fresh-demo": {"random_hold"},
@@ -302,14 +304,16 @@ def test_the_script_of_the_long_warm_up_makes_no_updates_for_it(monkeypatch):
 def test_the_consistent_logit_divides_f_by_the_temperature(monkeypatch):
     cell = next(c for c in cells(ROOT / "book/notes", "around_the_recipe") if "f / 0.2" in c.source)
     (script,) = re.findall(r"```python\n(.*?)```", cell.source, re.DOTALL)
-    monkeypatch.setattr(Discriminator, "logit", Discriminator.logit)
+    monkeypatch.setattr(discriminator, "log_odds", discriminator.log_odds)
     monkeypatch.setattr("offairl_lite.runs.cli.main", lambda: None)
     exec(script, {})
     spec = spec_of("decides-scaled-demo/Hopper-exact-fixed-short")
     assert spec.config.learner.temperature == 0.2
     d = Discriminator(spec.config.discriminator, Layout(1, 3, 2))
-    f, log_prob = torch.tensor([[1.0, -2.0]]), torch.tensor([[0.5, 3.0]])
-    assert torch.allclose(d.logit(f, log_prob), torch.tensor([[4.5, -13.0]]))
+    monkeypatch.setattr(d, "f", lambda both: torch.tensor([[1.0, -2.0]]))
+    zero = torch.zeros(1, 1, 3)
+    sides = [Transitions(zero, zero[..., :2], zero, torch.tensor([[x]])) for x in (0.5, 3.0)]
+    assert [logit.item() for logit in d.logits(*sides)] == pytest.approx([4.5, -13.0])
 
 
 def spec_of(folder):
@@ -338,7 +342,8 @@ def test_a_record_says_what_produced_it(folder):
 def test_a_record_is_of_the_experiment_that_it_names(folder):
     spec = spec_of(folder)
     assert spec.scale in ("demo", "full")
-    expected = configure(run_of(folder, spec), spec.scale)
+    # GAN-GCL was a run of this experiment once.
+    expected = configure(run_of(folder, spec).replace("gan-gcl", "state"), spec.scale)
     changed = set(differences(expected, spec.config)) - LENGTH
     assert changed == VARIED.get(folder, set()), "name in VARIED what a record is about"
     seeds = records.read(HOME / folder).seeds

@@ -8,7 +8,6 @@ from discriminators import (
     ACT,
     AIRL,
     CONFIGS,
-    HORIZON,
     OBS,
     SMALL,
     B,
@@ -30,7 +29,6 @@ from offairl_lite.core.discriminator import (
     airl_loss,
     diagnostics,
     entropy,
-    per_episode,
     shaped_reward,
 )
 from offairl_lite.core.replay import Batch
@@ -107,7 +105,7 @@ def test_where_f_is_flat_the_loss_has_a_slope_nevertheless(name):
 @pytest.mark.parametrize(
     ("kind", "names"),
     [
-        (Discriminator, ["r(s)", "r(s, a)", "dac", "gan-gcl", "r(s) of one number"]),
+        (Discriminator, ["r(s)", "r(s, a)", "dac", "r(s) of one number"]),
         (penalties.OneSided, ["one-sided r(s)"]),
         (penalties.OnProbability, ["released r(s)", "dac on probability"]),
         (penalties.SpectralNorm, ["spectral r(s, a)"]),
@@ -202,9 +200,9 @@ def test_the_corrected_gradient_depends_on_the_policy_and_the_released_does_not(
     assert torch.equal(one, other)
 
 
-@pytest.mark.parametrize("reward", ["logit-sa", "r-s", "gan-gcl"])
+@pytest.mark.parametrize("reward", ["logit-sa", "r-s"])
 def test_log_prob_is_asked_for_where_the_loss_has_it(reward):
-    config = CONFIGS["gan-gcl"] if reward == "gan-gcl" else CONFIGS["r(s)"].change(reward=reward)
+    config = CONFIGS["r(s)"].change(reward=reward)
     assert make(config).needs_log_prob
     released = make(config.change(loss="log-ratio"))
     assert not released.needs_log_prob
@@ -267,38 +265,6 @@ def test_gail_s_discriminator_is_trained_as_dac_s(name):
     batches = data(dtype=torch.float32)
     one, other = (train(CONFIGS["dac"].change(reward=r), (0, 1), batches) for r in ("dac", name))
     assert torch.equal(one[0], other[0])
-
-
-# GAN-GCL's discriminator, of whole episodes.
-
-
-def test_a_trajectory_s_logit_is_the_sum_of_its_steps():
-    logit = torch.tensor([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])
-    assert per_episode(logit, 2).tolist() == [[3, 7], [11, 15]]
-    assert torch.equal(per_episode(logit, 1), logit)
-
-
-def test_log_odds_of_a_trajectory_are_those_of_its_density():
-    """D(τ) = exp Σ r / (exp Σ r + Π π), with what the dynamics contribute cancelled."""
-    discriminator, (expert, policy, *logs, c) = make(CONFIGS["gan-gcl"]), data()
-
-    def d(batch, log_prob):
-        x = torch.cat([batch.obs, batch.action], -1)
-        r = discriminator.reward_net(discriminator.reward_params, x).squeeze(-1)
-        weight = r.view(2, -1, HORIZON).exp().prod(-1)
-        return weight / (weight + log_prob.view(2, -1, HORIZON).exp().prod(-1))
-
-    d_expert, d_policy = d(expert, logs[0]), d(policy, logs[1])
-    metrics = loss_of(discriminator, expert, policy, *logs, c)[1]
-    expected = -d_expert.log().mean(1) - (1 - d_policy).log().mean(1)
-    torch.testing.assert_close(metrics["cross_entropy"], expected.detach())
-
-
-def test_each_step_of_a_trajectory_is_paid_its_share_of_the_log_odds():
-    discriminator, (batch, _, log_prob, *_) = make(CONFIGS["gan-gcl"]), data()
-    paid = discriminator.reward(batch, lambda _: log_prob)
-    r = frozen(discriminator)(batch.obs, batch.action)
-    torch.testing.assert_close(paid, r - log_prob.detach())
 
 
 def train(config, seeds, batches, updates=5):

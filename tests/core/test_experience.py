@@ -50,24 +50,6 @@ def test_the_discriminator_s_negatives_are_the_last_block_if_replay_is_no_longer
     assert {tuple(row) for _, policy, *_ in seen for row in policy.obs[0].tolist()} <= block
 
 
-def test_gan_gcl_s_minibatches_are_whole_episodes(tiny, maze, record, until):
-    seen = record(Discriminator, "update")
-    blocks = {**ON_POLICY, "train_every": 200, "replay_size": 200, "total_steps": 300}
-    config = tiny.change(**blocks, reward="gan-gcl", batch_size=250, discriminator_updates=3)
-    trainer = Trainer(config, (0, 1), maze)
-    until(trainer, lambda t: seen)
-    assert len(seen) == 3
-    last = trainer.normaliser(trainer.collector.replay.last(200).obs)
-    shown = trainer.normaliser(maze.transitions.obs.unsqueeze(0)).view(2, -1, 100, 3)
-    for expert, policy, *_ in seen:
-        assert expert.obs.shape == policy.obs.shape == (2, 200, 3)
-        for member in (0, 1):
-            for episode in expert.obs[member].view(2, 100, 3):
-                assert any(torch.equal(episode, whole) for whole in shown[member])
-            for episode in policy.obs[member].view(2, 100, 3):
-                assert any(torch.equal(episode, whole) for whole in last[member].view(2, 100, 3))
-
-
 @pytest.mark.parametrize("size", [1, 4])
 def test_labelled_minibatches_are_demonstrations_and_then_replay(maze, size):
     replayed = Batch(*(torch.rand(2, 12, *part.shape[1:]) for part in maze.transitions))

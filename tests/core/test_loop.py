@@ -118,9 +118,8 @@ def test_a_run_can_be_ended_early_with_what_is_there(tiny, maze):
     [
         {"temperature": None},
         {**ON_POLICY, "reward": "logit-s"},
-        {**ON_POLICY, "reward": "gan-gcl", "train_every": 100, "replay_size": 100},
     ],
-    ids=["sac", "ppo", "gan-gcl"],
+    ids=["sac", "ppo"],
 )
 def test_a_member_trains_alone_as_among_others(tiny, maze, changes):
     # The same numbers are drawn; sums differ in their order only, which 400 updates of each
@@ -454,11 +453,10 @@ def test_put_back_with_a_guide_held_actions_and_an_odd_number_of_updates(
         {"env_id": HOPPER, "train_every": 30, "absorbing": "analytic", "reward": "dac"},
         {"env_id": "Pendulum-v1", "reward": "environment", "learner": "td3", "train_every": 40},
         {**ON_POLICY, "env_id": HOPPER, "reward": "gail-survival"},
-        {**ON_POLICY, "reward": "gan-gcl", "train_every": 100, "replay_size": 100},
         {"reward": "sqil", "env_id": HOPPER, "train_every": 30, "absorbing": "bootstrap"},
         {"reward": "iq-learn", "temperature": None},
     ],
-    ids=["maze", "bootstrap", "analytic", "td3", "ppo", "gan-gcl", "sqil", "iq-learn"],
+    ids=["maze", "bootstrap", "analytic", "td3", "ppo", "sqil", "iq-learn"],
 )
 def test_a_run_that_is_put_back_goes_the_same_way(
     tiny, random_demonstrations, tmp_path, until, steps, trained, changes

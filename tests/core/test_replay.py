@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from offairl_lite.core.replay import Batch, Replay, choose, pack, unpack
+from offairl_lite.core.replay import Batch, Replay, pack, unpack
 from offairl_lite.core.rng import Rng
 
 
@@ -93,20 +93,6 @@ def test_the_last_are_given_in_their_order():
         replay.last(4)
 
 
-def test_episodes_are_drawn_whole():
-    replay = Replay(1, 6, 2, 1, slots=8)
-    for step in range(12):
-        replay.add(numbered([step]))
-    drawn = replay.sample(Rng((0,)), 300, horizon=3).obs[0, :, 0].view(100, 3).tolist()
-    assert {tuple(episode) for episode in drawn} == {(6, 7, 8), (9, 10, 11)}
-
-
-def test_a_horizon_of_one_step_is_a_draw_of_rows():
-    one, other = (choose(Rng((0, 1)), *given) for given in (([5, 9], 20), ([5, 9], 20, 1)))
-    assert torch.equal(one, other)
-    assert torch.equal(one, Rng((0, 1)).integers([5, 9], 20))
-
-
 def test_a_replay_that_is_put_back_finds_its_rows_as_they_were():
     """As many steps as it has slots more than capacity; the same rows are then drawn."""
     replay = Replay(2, 3, 2, 1, slots=5)
@@ -153,13 +139,6 @@ def test_a_file_takes_its_room_at_once(tmp_path, monkeypatch, reserves):
     file = tmp_path / "rows"
     Replay(4, 10_000, 20, 6, file=file)
     assert file.stat().st_blocks * 512 >= file.stat().st_size == 4 * 10_000 * 48 * 4
-
-
-def test_a_member_without_an_episode_cannot_be_sampled():
-    replay = Replay(1, 9, 2, 1)
-    replay.add(numbered([1]))
-    with pytest.raises(ValueError, match=r"\(sizes \[1\]\) or has no whole episode"):
-        replay.sample(Rng((0,)), 2, horizon=2)
 
 
 def test_an_empty_member_cannot_be_sampled():

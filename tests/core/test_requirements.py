@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from offairl_lite.core.loop import Trainer, train
-from offairl_lite.demonstrations import Demonstrations
 
 HOPPER = "Hopper-v5"
 ON_POLICY = {"learner": "ppo", "train_every": 50, "replay_size": 50}
@@ -38,19 +37,10 @@ def test_demonstrations_must_be_given_and_of_the_task(tiny, maze):
         Trainer(right, (0,), maze)
 
 
-def test_gan_gcl_is_for_episodes_of_one_length(tiny, maze, random_demonstrations):
+def test_gan_gcl_is_read_and_no_longer_trained(tiny, maze):
     config = tiny.change(**ON_POLICY, reward="gan-gcl")
-    with pytest.raises(ValueError, match=r"whole episodes of one length.*multiples"):
+    with pytest.raises(ValueError, match=r"GAN-GCL is a page now.*choose another reward"):
         Trainer(config, (0,), maze)
-    hopper = config.change(env_id=HOPPER)
-    with pytest.raises(ValueError, match=r"whole episodes of one length: the demonstrations"):
-        Trainer(hopper, (0,), random_demonstrations(HOPPER, episodes=3))
-    # Demonstrations that are all of one length, on a task where ours are not.
-    pendulum = random_demonstrations("Pendulum-v1")
-    short = Demonstrations("Pendulum-v1", pendulum.transitions, (100,) * 4)
-    config = config.change(env_id="Pendulum-v1", train_every=100, replay_size=100)
-    with pytest.raises(ValueError, match=r"100 as demonstrated, and Pendulum-v1 has ended"):
-        run(config, (0,), short)
 
 
 def test_before_anything_is_done_r_is_refused_what_it_cannot_see(tiny, maze):

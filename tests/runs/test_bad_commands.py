@@ -100,7 +100,7 @@ ROWS = [
     # Settings that do not go together.
     ("run maze-imitation --learner td3", "needs log π", "use learner='sac'"),
     ("run maze-imitation --learner ppo --temperature 1", "train_every is None", "set it"),
-    ("run maze-imitation --reward gan-gcl", "gan-gcl", "learner='ppo'"),
+    ("run maze-imitation --reward gan-gcl", "GAN-GCL is a page now", "another reward"),
     ("run maze-expert --absorbing bootstrap", "absorbing='bootstrap'", "set absorbing='none'"),
     ("run maze-imitation --no-log-prob-in-reward", "log_prob_in_reward=False", "it is for"),
     ("run maze-expert --loss exact", "loss has no use", "leave it out"),

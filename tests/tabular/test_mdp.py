@@ -49,14 +49,14 @@ def spoilt(where, value):
 @pytest.mark.parametrize(
     ("transition", "initial", "discount", "horizon", "message"),
     [
-        (spoilt((1, 2, 0), 0.4), START_2, 0.9, None, r"s=1, a=2.*sum 0\.9 \(1 of 6 rows"),
-        (spoilt((0, 1), [-0.5, 1.5]), START_2, 0.9, None, r"s=0, a=1.*least is -0\.5"),
+        (spoilt((1, 2, 0), 0.4), START_2, 0.9, None, r"s=1, a=2.*sum to 1, not 0\.9"),
+        (spoilt((0, 1), [-0.5, 1.5]), START_2, 0.9, None, r"s=0, a=1.*at least 0"),
         (spoilt((0, 0, 0), np.nan), START_2, 0.9, None, r"s=0, a=0.*nan"),
         (HALF[0], START_2, 0.9, None, r"array \(S, A, S\).*not an array \(3, 2\)"),
         (HALF[..., :1], START_2, 0.9, None, r"not an array \(2, 3, 1\)"),
         (csr_array(np.full((3, 2), 0.5)), START_2, 0.9, None, r"S·A rows.*not sparse \(3, 2\)"),
-        (HALF, np.ones(3) / 3, 0.9, None, r"initial must have shape \(2,\), not \(3,\)"),
-        (HALF, np.ones(2), 0.9, None, r"initial.*sum 2"),
+        (HALF, np.ones(3) / 3, 0.9, None, r"initial must be \(2,\)"),
+        (HALF, np.ones(2), 0.9, None, r"initial.*sum to 1, not \[1\. 1"),
         (HALF, START_2, 0.9, 0, "horizon is 0; expected a whole number of at least 1, or None"),
         (HALF, START_2, 0.9, 2.5, "horizon is 2.5; expected a whole number of at least 1, or None"),
         (HALF, START_2, 1.1, 5, r"discount is 1\.1; expected a number in \[0, 1\]"),
@@ -84,7 +84,7 @@ def test_infinite_rewards_and_negative_temperatures_are_refused():
 def test_what_is_no_policy_is_refused():
     mdp, timed = random_mdp(), random_mdp(horizon=4)
     log_policy = soft_value_iteration(mdp, np.zeros(6)).log_policy
-    with pytest.raises(ValueError, match=r"sums are from -3\.29.*not their logarithms"):
+    with pytest.raises(ValueError, match="not their logarithms"):
         occupancy(mdp, log_policy)
     with pytest.raises(ValueError, match=r"shape \(6, 3\), not \(4, 6, 3\)"):
         occupancy(mdp, random_policy(timed, timed=True))

@@ -64,9 +64,6 @@ def test_demonstrations_of_another_process_are_refused():
     for states, actions, message in (
         ([[start, start + 6]], [[2]], f"demonstration 0 .* step 0 from state {start} by action 2 "),
         ([[start, start], [0, 0]], [[0], [0]], "demonstration 1 starts in state 0, whose"),
-        ([[start, 25]], [[2]], "state must be from 0 to 24, but they are from 2 to 25"),
-        ([[start, start]], [[-1]], "action must be from 0 to 4, but they are from -1 to -1"),
-        ([[start, start]], [[0, 0]], r"got \(1, 2\) and \(1, 2\)"),
     ):
         with pytest.raises(ValueError, match=message):
             empirical_occupancy(grid.mdp, Trajectories(np.array(states), np.array(actions)))
