@@ -218,10 +218,31 @@ def test_demonstrations_are_drawn_with_a_finger_and_downloaded(opened, tmp_path)
     assert empirical_occupancy(maze, drawn)[4 + 20 * 16].sum() > 9
 
 
+def test_a_toy_says_the_step_that_its_slider_shows(opened):
+    view = opened("walls", "rewards", reduced_motion="no-preference")
+    told = view.evaluate("""async () => {
+      const told = [];
+      for (let k = 0; k < 40; k++) {
+        await new Promise(requestAnimationFrame);
+        for (const root of document.querySelectorAll('.toy')) {
+          const says = root.querySelector('.toy-says').textContent.match(/fter (\\d+) steps/);
+          if (says) told.push([+says[1], +root.querySelector('input[type=range]').value]);
+        }
+      }
+      return told;
+    }""")
+    assert len(told) > 20
+    assert all(said == shown for said, shown in told)
+
+
 def test_demonstrations_are_drawn_with_keys(opened):
     view = opened("walls")
+    canvas = view.locator(".toy canvas").first
+    canvas.press("ArrowRight")
+    assert view.evaluate("toys.all[0].state().wall.from - toys.all[0].state().home.from") == 1
     view.get_by_role("button", name="Draw your own").click()
-    view.locator(".toy canvas").first.focus()
+    assert view.evaluate("toys.all[0].state().wall.from - toys.all[0].state().home.from") == 0
+    canvas.focus()
     keys = ["Space", *["ArrowLeft"] * 6, "Space"]
     for key in keys:
         view.keyboard.press(key)
@@ -446,6 +467,7 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     view.get_by_role("button", name="Move the wall").click()
     assert view.evaluate(state.format(4))["wall"]["from"] == 12
     assert "arrives" in says.inner_text()
+    assert "(29 before the wall moved)" in says.inner_text()
     box = canvas.nth(8).bounding_box()
     size = (box["width"] - 14) / 28
     at = [

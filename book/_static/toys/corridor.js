@@ -98,7 +98,7 @@
       let far = 0;
       for (const s of rooms) for (const a of [0, 1]) far += Math.abs(theirs[s][a] - mine[s][a]) / 2;
       toy.say(`Round ${k}. Gone after 50 steps: expert ${percent(gone(expert))}, imitator `
-        + `${percent(gone(policy))}. Their time differs by ${percent(far)}.`, playing && k < rounds);
+        + `${percent(gone(policy))}. Distance of their visits: ${percent(far)}.`, playing && k < rounds);
     }
 
     function walk() {

@@ -13,6 +13,7 @@
 
   function define(toy) {
     let seed = 0, start = LEFT.start, ways, policy, value, clock = 0;
+    const before = {}; // for each seed the policy in the maze of the demonstrations
     const hand = paint.movable(n, LEFT.wall, think);
 
     function think() {
@@ -21,8 +22,12 @@
       ways = way;
       clock = window.toys.calm() ? 1e6 : 0;
       const left = far(way[way.length - 1]);
+      before[seed] ??= planned(LEFT.wall, rewards[seed]).policy;
+      const there = hand.wall.row !== LEFT.wall.row || hand.wall.from !== LEFT.wall.from;
+      const old = walk(build(n, LEFT.wall), likeliest(before[seed]), start);
       toy.say(`Reward of seed ${seed}: ${left < 5 ? "arrives" : "stops"} ${left.toFixed(0)} cm from the `
-        + `star, after ${way.length - 2} moves of ${(70 / n).toFixed(1)} cm.`);
+        + `star, after ${way.length - 2} moves of ${(70 / n).toFixed(1)} cm`
+        + (there ? ` (${old.length - 2} before the wall moved).` : "."));
     }
 
     const pane = toy.pane({

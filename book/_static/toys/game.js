@@ -49,8 +49,8 @@
       now = compare(theirs, policy);
       story.push([now.distance, now.error]);
       const most = (x) => (x < 0.01 ? x.toExponential(0).replace("-", "−") : x.toFixed(2));
-      toy.say(`Round ${story.length - 1}. Distance of the visits: ${most(now.distance)}. Largest error `
-        + `of the reward: ${most(now.error)}.`, playing && story.length <= rounds);
+      toy.say(`Round ${story.length - 1}. Distance of the visits: ${most(now.distance)}. Error of the `
+        + `reward, largest minus smallest: ${most(now.error)}.`, playing && story.length <= rounds);
     }
 
     function restart() {
@@ -91,7 +91,7 @@
       draw: (ctx, w, h, colour) => {
         const box = {x: 42, y: 24, w: w - 60, h: h - 62}, range = [0, rounds, -4, 1.5];
         const to = window.toys.axes(ctx, box, range, colour, {x: [0, 20, 40, 60], y: [-4, -2, 0],
-          xLabel: "round", yLabel: "powers of ten"});
+          xLabel: "round", yShow: (v) => ({"-4": "10⁻⁴", "-2": "10⁻²", 0: "1"})[v]});
         [[0, colour.expert, "distance of the visits"], [1, colour.policy, "error of the reward"]]
           .forEach(([k, ink, name]) => {
             const points = story.map((both, i) => to(i, Math.max(-4, Math.log10(both[k]))));

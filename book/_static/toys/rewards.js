@@ -152,10 +152,11 @@
         if (fits[next].length > last) return false;
         learn(next);
       }
-      if (follow && fits[kind].length - 1 > step) {
-        step = fits[kind].length - 1;
+      const reached = fits[kind].length - 1, next = reached - (reached % every);
+      if (follow && next > step) {
+        step = next;
         slider.set(step);
-        if (step % every === 0) think();
+        think();
       }
       return true;
     });

@@ -119,8 +119,10 @@ window.toys = window.toys || (() => {
     ctx.fill();
   }
 
-  // Axes of a plot: `box` in pixels, `range` as [left, right, bottom, top] in numbers.
-  function axes(ctx, box, range, colour, {x = [], y = [], xLabel = "", yLabel = ""} = {}) {
+  // Axes of a plot: `box` in pixels, `range` as [left, right, bottom, top] in numbers; `yShow`
+  // names the numbers of `y`.
+  function axes(ctx, box, range, colour,
+    {x = [], y = [], xLabel = "", yLabel = "", yShow = (v) => `${v}`.replace("-", "−")} = {}) {
     const [left, right, bottom, top] = range;
     const to = (u, v) => [box.x + ((u - left) / (right - left)) * box.w,
       box.y + box.h - ((v - bottom) / (top - bottom)) * box.h];
@@ -129,7 +131,7 @@ window.toys = window.toys || (() => {
     const look = {size: 12, colour: colour.soft, weight: 500};
     for (const u of x) text(ctx, `${u}`.replace("-", "−"), to(u, bottom)[0], box.y + box.h + 11, look);
     for (const v of y)
-      text(ctx, `${v}`.replace("-", "−"), box.x - 6, to(left, v)[1], {...look, align: "right"});
+      text(ctx, yShow(v), box.x - 6, to(left, v)[1], {...look, align: "right"});
     if (xLabel) text(ctx, xLabel, box.x + box.w, box.y + box.h + 27, {...look, align: "right"});
     if (yLabel) text(ctx, yLabel, box.x, box.y - 11, {...look, align: "left"});
     return to;

@@ -170,6 +170,7 @@
 
     function draw() {
       drawing = true;
+      hand.wall = {...home}; // where a reader has left it, nothing would be blocked later
       [demos, ways, history, lesson] = [[], {}, [], null];
       pen = LEFT.start;
       toy.say("Draw a way from anywhere to the place you like. (Keys: space, arrows, space.)");
@@ -319,6 +320,7 @@
         slider.set(shown);
         if (shown >= steps) lesson = null;
         if (shown % 5 === 0) think();
+        else tell();
         return true;
       }
       if (window.toys.calm()) return undefined;
