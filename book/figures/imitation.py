@@ -1,5 +1,7 @@
 """The pictures, tables and the film of chapter 2."""
 
+from pathlib import Path
+
 import gymnasium
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,7 +26,14 @@ from offairl_lite.plain import (
 )
 from offairl_lite.runs import records
 
+MAZE, RECORDS = "offairl/PointMazeLeft-v0", Path("records")
 LEFT, RIGHT = 0, 1
+
+
+def _formula(name):
+    # A no-break space keeps a formula on one line.
+    return name.replace("-", "−").replace(" ", "\u00a0")
+
 
 VERDICT = LinearSegmentedColormap.from_list(
     "verdict", [plots.ORANGE, "white", plots.BLUE]
@@ -42,7 +51,7 @@ HOPPERS = {
 }
 
 
-def judged_pushes(RECORDS, MAZE, demos):
+def judged_pushes(demos):
     """Return a film of what the discriminator says of pushes."""
     dac_sac = records.read(RECORDS / "maze-dac-demo/sac")
     last_paths = {"sac": rollout(dac_sac.policy, MAZE, dac_sac.seeds, 1)}
@@ -136,7 +145,7 @@ def judged_pushes(RECORDS, MAZE, demos):
             made.set_data(*action[t, :, None])
 
     frames = film(fig, draw_step, 25)
-    return last_paths, SHOWN, actors, verdicts, name, all_pushes, frames
+    return frames
 
 
 def gail_loop():
@@ -197,22 +206,10 @@ def corridor():
         ):
             ax.text(-0.25, y, who, color=color, ha="right", va="center")
         plt.show()
-    return room, ends, look, who
 
 
-def advice(ROOMS, REWARDS, best_values, RIGHT, LEFT):
+def advice(preference):
     """Return the table of what rewards advise without a verdict."""
-    no_idea = np.zeros((ROOMS, 2))
-    preference = {}
-    for name, reward in REWARDS.items():
-        q = best_values(reward(no_idea))
-        preference[name] = q[:, RIGHT] - q[:, LEFT]
-
-    # A no-break space keeps a formula on one line.
-    SIGNED = {
-        name: name.replace("-", "−").replace(" ", "\u00a0")
-        for name in REWARDS
-    }
     advice = ("never leave", "leave at once", "all the same")
 
     def signed(x):
@@ -226,7 +223,7 @@ def advice(ROOMS, REWARDS, best_values, RIGHT, LEFT):
             "advice",
         ],
         [
-            (SIGNED[name], signed(x[3]), signed(x[6]), what)
+            (_formula(name), signed(x[3]), signed(x[6]), what)
             for (name, x), what in zip(
                 preference.items(), advice, strict=True
             )
@@ -234,9 +231,7 @@ def advice(ROOMS, REWARDS, best_values, RIGHT, LEFT):
     )
 
 
-def games(
-    REWARDS, rooms, occupancy, RIGHT, LEFT, gone, SIGNED, EXPERTS, played
-):
+def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
     """Draw where the experts and their imitators spend their time."""
     COLORS = dict(
         zip(REWARDS, (plots.BLUE, plots.RED, plots.GREEN), strict=True)
@@ -263,7 +258,7 @@ def games(
             3, 2, figsize=(7.4, 7.4), sharex=True, sharey=True
         )
         for row, name in zip(axes, REWARDS, strict=True):
-            row[0].set_ylabel(SIGNED[name], color=COLORS[name])
+            row[0].set_ylabel(_formula(name), color=COLORS[name])
             for ax, who in zip(row, EXPERTS, strict=True):
                 policies = played[who, name], EXPERTS[who]
                 draw_game(ax, *policies, COLORS[name], WHEN[who])
@@ -276,7 +271,7 @@ def games(
         plt.show()
 
 
-def distances(SIGNED, far, moved, REWARDS):
+def distances(far, moved, REWARDS):
     """Return the table of distances from the experts."""
     return table(
         [
@@ -288,7 +283,7 @@ def distances(SIGNED, far, moved, REWARDS):
         ],
         [
             (
-                SIGNED[name],
+                _formula(name),
                 *(
                     f"{x[who, name]:.3f}"
                     for who in "AB"
@@ -441,8 +436,8 @@ def ends_of_runs(runs, ends):
     )
 
 
-def hopping(RECORDS):
-    """Return how long episodes last, by run and environment steps."""
+def hopping():
+    """Return how long episodes last, by run and steps."""
 
     def episode_lengths(run, until=100_000):
         "Steps, and the mean length of training episodes up to each of them."
@@ -480,7 +475,7 @@ def hopper_signs(hopping, expert_length):
         plt.show()
 
 
-def chances(occupancy, RIGHT, ends_at):
+def chances(occupancy, ends_at):
     """Return how often policies go right, by share of old steps."""
 
     def goes_right(policy, where):
