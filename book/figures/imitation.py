@@ -145,7 +145,7 @@ def judged_pushes(demos):
             made.set_data(*action[t, :, None])
 
     frames = film(fig, draw_step, 25)
-    return frames
+    return last_paths, SHOWN, actors, verdicts, all_pushes, frames
 
 
 def gail_loop():

@@ -181,7 +181,7 @@ def swing_up(sac, pendulum, act):
         dot.set_data(from_below[now : now + 1], speed[now : now + 1])
 
     frames = film(fig, draw, 25)
-    return states, y, worth, enough, frames
+    return states, x, y, worth, enough, frames
 
 
 def learners(curves):
