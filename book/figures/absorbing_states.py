@@ -10,9 +10,8 @@ from offairl_lite import envs
 from offairl_lite.analysis import plots
 
 
-def hoppers(kept):
+def hoppers(kept, FRAMES):
     """Return a film of an expert and of two imitators."""
-    FRAMES = 20
     told = {
         "expert": "the expert",
         "with": "imitator,\nabsorbing state",

@@ -205,9 +205,8 @@ def gates(five, run, expert, ends):
         plt.show()
 
 
-def full_size(at_full_size):
+def full_size(at_full_size, plain):
     """Return the table of runs with networks of full size."""
-    plain = at_full_size["one Gaussian"]
     rows = []
     for name, end in at_full_size.items():
         apart, low, high = difference(end, plain)

@@ -61,74 +61,39 @@ MARKS = {
 }
 
 
-def comparisons(FOUND, by_recipe, ROBOTS):
-    """Return how the runs of claims compare."""
-    LARGER = ("Hopper", "Walker2d", "HalfCheetah")
+def _listed(names):
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
 
-    def arrived(n, i=0):
-        """How many seeds arrive in each run of a comparison."""
-        found = FOUND[n][i]
-        return [round(share * found.seeds) for share, *_ in found.effect]
 
-    def against_dac(pair):
-        """The last step of two runs, and in words how they compare there."""
-        step = max(set(pair[0].steps) & set(pair[1].steps))
-        ends = [run.returns[:, run.steps == step].ravel() for run in pair]
-        words = {
-            "as claimed": "ahead",
-            "the opposite": "behind",
-            "unclear": "no clear difference",
-        }
-        return step, words[seen(*difference(*ends)[1:])]
+def _against_dac(pair):
+    """The last step of two runs, and in words how they compare there."""
+    step = max(set(pair[0].steps) & set(pair[1].steps))
+    ends = [run.returns[:, run.steps == step].ravel() for run in pair]
+    words = {
+        "as claimed": "ahead",
+        "the opposite": "behind",
+        "unclear": "no clear difference",
+    }
+    return step, words[seen(*difference(*ends)[1:])]
 
-    def listed(names):
-        *first, last = names
-        return f"{', '.join(first)} and {last}" if first else last
 
-    def by_word(robots, size):
-        """The last step, and how off-policy AIRL compares with DAC there."""
-        compared = {}
-        for robot in robots:
-            step, word = against_dac(by_recipe(robot, size))
-            compared.setdefault(word, []).append(robot)
-        return step, ", ".join(
-            f"{word} on {listed(robots)}"
-            for word, robots in sorted(compared.items())
-        )
-
-    step, recipe = by_word((*ROBOTS, "Ant"), "demo")
-    _, larger = by_word(LARGER, "full")
-    (eight, sac), (guided, alone) = arrived(7), arrived(8, 2)
-    gate, gate_alone = arrived(8, 4)
-    return (
-        LARGER,
-        arrived,
-        step,
-        recipe,
-        larger,
-        eight,
-        guided,
-        alone,
-        gate,
-        gate_alone,
+def by_word(robots, size, by_recipe):
+    """The last step, and how off-policy AIRL compares with DAC there."""
+    compared = {}
+    for robot in robots:
+        step, word = _against_dac(by_recipe(robot, size))
+        compared.setdefault(word, []).append(robot)
+    return step, ", ".join(
+        f"{word} on {_listed(robots)}"
+        for word, robots in sorted(compared.items())
     )
 
 
-def verdicts(
-    arrived,
-    eight,
-    FOUND,
-    sac,
-    guided,
-    alone,
-    gate,
-    gate_alone,
-    recipe,
-    step,
-    larger,
-    VERDICTS,
-):
-    """Return the table of claims, each with its verdict."""
+def evidence(arrived, FOUND, recipe, step, larger):
+    """Return what speaks for each claim, or against it."""
+    (eight, sac), (guided, alone) = arrived(7), arrived(8, 2)
+    gate, gate_alone = arrived(8, 4)
     EVIDENCE = {
         4: f"From the old policy {arrived(4)[0]} of {SEEDS} seeds "
         "arrive after 100,000 steps; the others stay in the trap.",
@@ -157,13 +122,11 @@ def verdicts(
         5: "So far, with the recipe, no clear difference on HalfCheetah, nor "
         "on Ant.",
     }
-    MARKS = {
-        CONFIRMED: (plots.GREEN, "●"),
-        IN_PART: (plots.GREEN, "◐"),
-        UNDECIDED: (plots.ORANGE, "○"),
-        CONFOUNDED: (plots.RED, "?"),
-        UNTESTED: (plots.GREY, "–"),
-    }
+    return EVIDENCE
+
+
+def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
+    """Return the table of claims, each with its verdict."""
 
     def row(n):
         word = VERDICTS[n]
@@ -176,7 +139,6 @@ def verdicts(
     def heading(text):
         return f'<tr><th colspan="2">{text}</th></tr>'
 
-    MAZES, ON_ROBOTS = (4, 6, 7, 8), (1, 2, 3, 5)
     parts = [
         heading("On the maze: paper-size networks, ten seeds"),
         *map(row, MAZES),
@@ -209,8 +171,8 @@ def with_the_recipe(PAIRS, LABELS, of_demonstrations):
         plt.show()
 
 
-def choices(ROBOTS, PAIRS, read, of_demonstrations):
-    """Return what each choice adds, and after how many steps."""
+def choices(ROBOTS, PAIRS):
+    """Return pairs of runs that differ in one choice."""
 
     def one_choice(kept, other):
         """Pairs of runs that differ in one setting, 100,000 steps each."""
@@ -286,31 +248,11 @@ def choices(ROBOTS, PAIRS, read, of_demonstrations):
             )
         },
     }
-    LOOKS = {
-        "Hopper": (plots.BLUE, "o"),
-        "Walker2d": (plots.ORANGE, "s"),
-        "HalfCheetah": (plots.GREEN, "D"),
-        "CustomAnt": (plots.PURPLE, "^"),
-        "DisabledAnt": (plots.RED, "v"),
-    }
+    return CHOICES
 
-    def at_the_end(pair):
-        """The last step that two runs share, and their returns there."""
-        pair = [read(run) if isinstance(run, str) else run for run in pair]
-        step = max(set(pair[0].steps) & set(pair[1].steps))
-        returns = [run.returns[:, run.steps == step] for run in pair]
-        returns = [each[~np.isnan(each)] for each in returns]
-        return int(step), returns
 
-    def gain(robot, pair):
-        """What the first run adds to the return, in percent of the expert's."""
-        _, returns = at_the_end(pair)
-        return np.array(difference(*returns)) / of_demonstrations(robot)
-
-    GAINS = {
-        choice: {robot: gain(robot, pair) for robot, pair in pairs.items()}
-        for choice, pairs in CHOICES.items()
-    }
+def what_choices_add(at_the_end, CHOICES, GAINS):
+    """Draw what each choice adds."""
     THOUSANDS = [
         " / ".join(
             f"{step // 1000}"
@@ -320,11 +262,6 @@ def choices(ROBOTS, PAIRS, read, of_demonstrations):
         )
         for pairs in CHOICES.values()
     ]
-    return CHOICES, at_the_end, gain, GAINS, THOUSANDS
-
-
-def what_choices_add(GAINS, THOUSANDS):
-    """Draw what each choice adds."""
     with plots.style():
         fig, ax = plt.subplots(figsize=(7.4, 7))
         ax.axvline(0, color="black", linewidth=0.8)
@@ -362,25 +299,10 @@ def what_choices_add(GAINS, THOUSANDS):
         plt.show()
 
 
-def seeds_that_arrive(arrives, folder):
-    """Return which seeds arrive, by way and help, and their looks."""
-    maze = {
-        (way, helped): arrives(folder)
-        for way, arm in WAYS.items()
-        for helped, (ending, *_) in HELP.items()
-        if (
-            RECORDS / (folder := f"maze-retraining-full/{arm}{ending}")
-        ).exists()
-    }
-    cool = "maze-retraining-cool-full/8-gate-helped"
-    maze["gate alone, 8", COOL] = arrives(cool)
+def arrivals(maze):
+    """Draw how many seeds arrive."""
     looks = {helped: look for helped, (_, *look) in HELP.items()}
     looks[COOL] = (plots.PURPLE, "v")
-    return maze, looks
-
-
-def arrivals(looks, maze):
-    """Draw how many seeds arrive."""
     with plots.style():
         fig, ax = plt.subplots(figsize=(7.4, 4.3))
         named = {}
