@@ -33,13 +33,13 @@ def old_and_new(cells):
     STEPS = 3 * cells  # of a walk
 
     def walk(process, policy, rng):
-        # one walk from the maze's start, moved sideways onto the start's circle
+        # From the maze's start, moved sideways onto the start's circle.
         path = tabular.sample(process.mdp, policy, 1, rng, STEPS).states[0]
         path = process.positions[path]
         return path + np.array([START[0] - path[0, 0], 0])
 
     def filmed_game(rounds):
-        # the game of this chapter: policies, and the rewards learned from them
+        # The policies of the game, and the rewards learned from them.
         mazes = [
             tabular.maze(cells, side, discount=0.95)
             for side in ("Left", "Right")

@@ -440,7 +440,8 @@ def hopping():
     """Return how long episodes last, by run and steps."""
 
     def episode_lengths(run, until=100_000):
-        "Steps, and the mean length of training episodes up to each of them."
+        "Steps, and the mean length of training episodes up to each of"
+        "them."
         count = np.reshape(
             [r.episodes for r in run.rows], (-1, len(run.seeds))
         )

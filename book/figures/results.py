@@ -97,29 +97,39 @@ def evidence(arrived, FOUND, recipe, step, larger):
     EVIDENCE = {
         4: f"From the old policy {arrived(4)[0]} of {SEEDS} seeds "
         "arrive after 100,000 steps; the others stay in the trap.",
-        6: "After a short warm-up no seed arrives, with four primitives within "
+        6: "After a short warm-up no seed arrives, with four "
+        "primitives within "
         "{} steps or with eight within {}, at a fixed temperature. At a "
         "learned one ".format(*(c.scale.split("× ")[1] for c in FOUND[6]))
-        + "none does either, but with four primitives it ran away in half of "
+        + "none does either, but with four primitives it ran away in "
+        "half of "
         "the seeds.",
-        7: "Ten seeds cannot test a variance, so we ask instead whether more "
+        7: "Ten seeds cannot test a variance, so we ask instead "
+        "whether more "
         f"arrive: {eight} of {SEEDS}, with SAC {sac}, after 40,000 steps. "
         "The difference may be luck.",
-        8: "With random starts, where an expert of the new maze acts first, "
+        8: "With random starts, where an expert of the new maze acts "
+        "first, "
         f"{guided} of {SEEDS} arrive with primitives instead of {alone}: "
-        "a clear difference by itself, though not after a correction for five "
+        "a clear difference by itself, though not after a correction "
+        "for five "
         "tests, and with such an expert you need no transfer. "
-        f"With a gate of eight alone {gate} arrive instead of {gate_alone}, "
+        f"With a gate of eight alone {gate} arrive instead of "
+        f"{gate_alone}, "
         "but there the temperature differs, too. "
         "With SAC {} instead of {}: perhaps luck.".format(*arrived(8)),
-        1: "So far, on CustomAnt with the exact logit, 4 is better than 1 and "
+        1: "So far, on CustomAnt with the exact logit, 4 is better "
+        "than 1 and "
         "2 and not clearly better than 3, but no ant walks.",
-        2: f"So far, with the recipe and small networks and {step:,} steps: "
+        2: f"So far, with the recipe and small networks and {step:,} "
+        f"steps: "
         f"{recipe}. "
         f"With paper-size networks and three seeds: {larger}.",
-        3: "So far no seed walks on a reward of the whole state, used as in "
+        3: "So far no seed walks on a reward of the whole state, used "
+        "as in "
         "the paper.",
-        5: "So far, with the recipe, no clear difference on HalfCheetah, nor "
+        5: "So far, with the recipe, no clear difference on "
+        "HalfCheetah, nor "
         "on Ant.",
     }
     return EVIDENCE
