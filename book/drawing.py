@@ -111,3 +111,8 @@ def film(
         )
     plt.close(fig)
     return np.stack(pictures)
+
+
+def number(x: float, digits: int = 1) -> str:
+    """Return a number as tables show it, with a true minus sign."""
+    return f"{x:z.{digits}f}".replace("-", "−")

@@ -1,0 +1,223 @@
+"""The pictures, tables and the film of chapter 7."""
+
+from contextlib import closing
+
+import matplotlib.pyplot as plt
+from matplotlib.colors import ListedColormap
+
+from drawing import diagram, film, table
+from offairl_lite import envs
+from offairl_lite.analysis import plots
+
+
+def hoppers(kept, FRAMES):
+    """Return a film of an expert and of two imitators."""
+    told = {
+        "expert": "the expert",
+        "with": "imitator,\nabsorbing state",
+        "without": "imitator,\nno absorbing state",
+    }
+
+    def pictures_of(poses):
+        env = envs.make("Hopper-v5", 1, 0, render_mode="rgb_array")
+        with closing(env):
+            state = env.get_state()
+            for pose in poses:
+                env.set_state({**state, "physics": pose[None]})
+                yield env.render()[0]
+
+    watched = {
+        name: list(pictures_of(kept["film"][name]["pose"][:FRAMES]))
+        for name in told
+    }
+    with plots.style():
+        fig, axes = plt.subplots(1, 3, figsize=(7.2, 3.4), dpi=80)
+    for ax in axes:
+        ax.set(xticks=[], yticks=[])
+        ax.grid(False)
+        for spine in ax.spines.values():
+            spine.set_visible(False)
+    screens = [
+        ax.imshow(pictures[0])
+        for ax, pictures in zip(axes, watched.values(), strict=True)
+    ]
+
+    def draw(i):
+        for ax, screen, name in zip(axes, screens, watched, strict=True):
+            screen.set_data(watched[name][i])
+            ax.set_title(told[name])
+            falls = kept["film"][name]["falls"][i]
+            times = "once" if falls == 1 else f"{falls} times"
+            fell = f", fell {times}" if falls else ""
+            ax.set_xlabel(
+                f"{kept['film'][name]['farthest'][i]:.1f} m{fell}"
+            )
+
+    frames = film(fig, draw, FRAMES)
+    return frames
+
+
+def cliff():
+    """Draw the cliff, the goal and the states between."""
+    diagram(
+        (6.6, 0.9),
+        {
+            "cliff": (0.5, 0.45, "cliff", plots.RED),
+            "0": (1.95, 0.45, "start"),
+            "1": (3.3, 0.45, "middle"),
+            "2": (4.65, 0.45, "last"),
+            "goal": (6.1, 0.45, "goal", plots.GREEN),
+        },
+        [
+            ("0", "cliff", "−1"),
+            ("0", "1", "", -0.3),
+            ("1", "0", "", -0.3),
+            ("1", "2", "", -0.3),
+            ("2", "1", "", -0.3),
+            ("2", "goal", "+1"),
+        ],
+    )
+    plt.show()
+
+
+def fates(gammas, shifts, nothing, never, fall):
+    """Draw what the best policy does, by discount and constant."""
+    colors = ListedColormap([plots.RED, "#e6e6e6", plots.BLUE])
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(5.4, 3.5))
+        image = ax.pcolormesh(
+            gammas, shifts, nothing, cmap=colors, vmin=0, vmax=2
+        )
+        image.set_rasterized(True)
+        ax.plot(gammas, never, "k--", gammas, fall, "k--")
+        ax.text(0.74, 0.9, "never ends", ha="center", color="white")
+        ax.text(0.74, -0.4, "arrives", ha="center")
+        ax.text(0.74, -2, "falls", ha="center", color="white")
+        ax.set(xlabel=r"discount $\gamma$", ylabel="constant $c$ added")
+        ax.set(ylim=(-2.5, 1.5))
+        ax.grid(False)
+        plt.show()
+
+
+def goes_on():
+    """Draw an episode that ends, and one that goes on."""
+    top, low = 1.6, 0.4
+    places = (0.4, 1.8, 3.5, 5.6)
+    texts = (r"$\cdots$", "$s_{T-1}$", "$s_T$")
+    boxes = {}
+    for row, y, *end in (
+        ("a", top, "end, worth 0", plots.RED),
+        ("b", low, "$s_a$", plots.GREEN),
+    ):
+        for i, (x, text) in enumerate(zip(places, texts, strict=False)):
+            boxes[f"{row}{i}"] = (x, y, text)
+        boxes[f"{row}3"] = (places[3], y, *end)
+    labels = ("", "$r(s_{T-1})$", "$r(s_T)$")
+    _fig, ax = diagram(
+        (6.6, 2.0),
+        boxes,
+        [
+            (f"{row}{i}", f"{row}{i + 1}", label)
+            for row in "ab"
+            for i, label in enumerate(labels)
+        ],
+    )
+    looks = {"arrowstyle": "-|>", "color": "#444444", "lw": 1.6}
+    bow = {"connectionstyle": "arc3,rad=2.2", "shrinkA": 0, "shrinkB": 0}
+    x, y = places[3], low + 0.15  # the top of its box
+    ax.annotate("", (x - 0.1, y), (x + 0.1, y), arrowprops={**looks, **bow})
+    ax.text(x + 0.24, low + 0.42, "$r(s_a)$", va="center")
+    plt.show()
+
+
+def two_targets(k, learned, predicted, R_T):
+    """Draw the value of the last step while critics learn."""
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(6.6, 2.9))
+        ax.plot(
+            k, learned["bootstrap"], color=plots.BLUE, label="bootstrap"
+        )
+        ax.plot(
+            k,
+            learned["analytic"],
+            "-.",
+            color=plots.ORANGE,
+            label="analytic",
+        )
+        ax.plot(k, predicted, "k:", label="bootstrap, predicted")
+        plots.level(ax, R_T, "$R_T$")
+        ax.set(
+            xlabel="updates", ylabel="Q of the last step", ylim=(-10.5, 0.5)
+        )
+        ax.legend(loc="upper right")
+        plt.show()
+
+
+def hoppers_learn(kept, long, falling, run, mode):
+    """Draw the returns with and without an absorbing state."""
+
+    def curves(ax, steps, returns, label, color, line, until=100_000):
+        early = steps <= until
+        steps, returns = steps[early] / 1_000, returns[:, early]
+        ax.plot(steps, returns.T, line, color=color, alpha=0.4, lw=0.9)
+        ax.plot(
+            steps, returns.mean(0), line, color=color, label=label, lw=2.2
+        )
+
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6), sharey=True)
+        with_end = "absorbing state"
+        recorded = (kept["short"].values(), (long.steps, long.returns))
+        for ax, (steps, returns) in zip(axes, recorded, strict=True):
+            curves(ax, steps, returns, with_end, plots.BLUE, "-")
+            no_end = ("no absorbing state", plots.RED, "--", steps[-1])
+            curves(ax, falling.steps, falling.returns, *no_end)
+            ax.set_title(f"{steps[-1]:,} steps")
+        mine = {"color": "black", "lw": 1.4, "marker": "."}
+        steps, returns = run.steps / 1_000, run.returns.mean(0)
+        axes[0].plot(steps, returns, label="yours", **mine)
+        for ax in axes:
+            named = ax is axes[0]
+            plots.level(
+                ax, mode, "the expert" if named else "", plots.GREEN
+            )
+            plots.level(ax, 1_000, "")
+            ax.set(xlabel="thousand environment steps", ylim=(-100, 3_500))
+        axes[0].set(ylabel="return")
+        words = {"color": plots.GREY, "fontsize": "small"}
+        axes[0].text(1, 1_090, "standing still", **words)
+        axes[0].set(xlim=(0, 8.3))
+        axes[0].legend(loc="upper left", bbox_to_anchor=(0, 0.86))
+        plt.show()
+
+
+def pays(said):
+    """Return the table of what a step of life pays."""
+    return table(
+        ("the imitator has", "a demonstrated step", "a step of its own"),
+        [
+            (
+                name,
+                *(
+                    f"{x.mean():+.1f}".replace("-", "−")
+                    for x in both.values()
+                ),
+            )
+            for name, both in said.items()
+        ],
+    )
+
+
+def stored_cuts(stored, leaves):
+    """Return the table of what a stored cut does."""
+    return table(
+        ("the cut is stored", "V at the goal", "the best policy"),
+        [
+            (
+                name.replace("s_a", "s<sub>a</sub>").replace("-3", "−3"),
+                f"{s.value[2]:.1f}".replace("-", "−"),
+                "leaves the goal" if leaf else "stays at the goal",
+            )
+            for (name, s), leaf in zip(stored.items(), leaves, strict=True)
+        ],
+    )

@@ -1,0 +1,316 @@
+"""The pictures, tables and the film of chapter 3."""
+
+from dataclasses import replace
+
+import matplotlib.patheffects as effects
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.special import log_softmax
+
+from drawing import diagram, film, table
+from offairl_lite import tabular
+from offairl_lite.analysis import plots
+from offairl_lite.core.rollouts import rollout
+from offairl_lite.envs.models import START
+from offairl_lite.tabular import occupancy, soft_value_iteration
+
+OUTLINE = [effects.withStroke(linewidth=1.4, foreground="black")]
+
+
+EDGE = [effects.Stroke(linewidth=5, foreground="white"), effects.Normal()]
+
+
+def _bare(axes):
+    # maps need no axes
+    for ax in np.ravel(axes):
+        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        for spine in ax.spines.values():
+            spine.set_visible(False)
+
+
+def old_and_new(cells):
+    """Return a film of the game, and its walks where the wall moved."""
+    STEPS = 3 * cells  # of a walk
+
+    def walk(process, policy, rng):
+        # From the maze's start, moved sideways onto the start's circle.
+        path = tabular.sample(process.mdp, policy, 1, rng, STEPS).states[0]
+        path = process.positions[path]
+        return path + np.array([START[0] - path[0, 0], 0])
+
+    def filmed_game(rounds):
+        # The policies of the game, and the rewards learned from them.
+        mazes = [
+            tabular.maze(cells, side, discount=0.95)
+            for side in ("Left", "Right")
+        ]
+        S, A = mazes[0].mdp.num_states, mazes[0].mdp.num_actions
+        mdp = replace(mazes[0].mdp, initial=np.full(S, 1 / S))
+        truth = mazes[0].reward / 0.1
+        seen = occupancy(mdp, soft_value_iteration(mdp, truth).policy)
+        log_pi, story = np.full((S, A), -np.log(A)), []
+        for _ in range(rounds):
+            visits = occupancy(mdp, np.exp(log_pi))
+            best = truth + np.log(seen.sum(1) / visits.sum(1))
+            story.append((np.exp(log_pi), best))
+            f = log_pi + np.log(seen / visits)
+            answer = soft_value_iteration(mdp, f).log_policy
+            log_pi = log_softmax(0.9 * log_pi + 0.1 * answer, axis=1)
+        return mazes, story
+
+    def show_film(rounds=14, still=2):
+        (old, new), story = filmed_game(rounds)
+        policies = [soft_value_iteration(new.mdp, story[-1][1]).policy]
+        walks = [walk(old, p, np.random.default_rng(3)) for p, _ in story]
+        carried = walk(new, story[-1][0], np.random.default_rng(3))
+        planned = walk(new, policies[0], np.random.default_rng(3))
+        with plots.style():
+            fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.8), dpi=100)
+        image = plots.grid(axes[1], np.zeros(cells**2), "Left")
+        image.set_clim(-14, 0)
+        plots.maze(axes[0], "Left")
+        _bare(axes)
+        lines, heads = [], []
+        for ax, color in zip(axes, (plots.ORANGE, plots.BLUE), strict=True):
+            lines += ax.plot([], [], color=color, lw=2.6, path_effects=EDGE)
+            style = {"mec": "white", "ms": 9, "zorder": 4}
+            heads += ax.plot([], [], "o", color=color, **style)
+
+        def trail(i, path, t):
+            lines[i].set_data(*path[: t + 1].T)
+            heads[i].set_data(*path[t : t + 1].T)
+
+        def draw(i):
+            k, t = min(i // still, rounds - 1), 2 * (i - still * rounds)
+            reward = story[k][1]
+            image.set_data((reward - reward.max()).reshape(cells, cells))
+            if t < 0:
+                axes[0].set_title(f"the policy after {k} rounds")
+                axes[1].set_title("the reward in the discriminator")
+                trail(0, walks[k], STEPS)
+                return
+            if t == 0:
+                for ax in axes:
+                    ax.collections[0].remove()
+                    plots.maze(ax, "Right")
+                _bare(axes)
+                axes[0].set_title("the wall moves: the old policy")
+                axes[1].set_title("a new policy for the frozen reward")
+            trail(0, carried, min(t, STEPS))
+            trail(1, planned, min(t, STEPS))
+
+        frames = film(fig, draw, still * rounds + STEPS // 2 + 6)
+        return frames, (carried, planned)
+
+    frames, filmed_walks = show_film()
+    return frames, filmed_walks
+
+
+def airl_graph():
+    """Draw how r, V and the policy make the logit."""
+    with plt.rc_context({"font.size": 13}):
+        diagram(
+            (7.0, 2.4),
+            {
+                "s": (0.3, 2.05, "$s$"),
+                "next": (0.3, 1.05, "$s'$"),
+                "r": (1.75, 2.05, r"$r_\psi(s)$", plots.GREEN),
+                "V": (
+                    1.75,
+                    1.05,
+                    r"$V_\omega(s),\ V_\omega(s')$",
+                    plots.BLUE,
+                ),
+                "f": (3.4, 1.55, "$f$"),
+                "pi": (
+                    3.4,
+                    0.35,
+                    r"policy: $\log\ \pi(a\,|\,s)$",
+                    plots.ORANGE,
+                ),
+                "logit": (4.8, 1.55, r"$\ell = f - \log\ \pi$"),
+                "D": (6.4, 1.55, r"$D = \sigma(\ell)$"),
+            },
+            [
+                ("s", "r"),
+                ("s", "V"),
+                ("next", "V"),
+                ("r", "f"),
+                ("V", "f"),
+                ("f", "logit"),
+                ("pi", "logit"),
+                ("logit", "D"),
+            ],
+        )
+    plt.show()
+
+
+def against_predictions(learned, true_reward, expert):
+    """Return the table of fitted and predicted functions."""
+
+    def tiny(x):
+        return "< 10⁻⁸" if np.ptp(x) < 1e-8 else f"{np.ptp(x):.0e}"
+
+    rows = []
+    for name, (r, V, ratio) in learned.items():
+        off = np.ptp(r - true_reward)
+        off = f"{off:.1f}" if off > 1e-6 else "0"
+        fits = tiny(V - expert.value), tiny(r - true_reward - ratio)
+        rows.append((f"the policy {name}", *fits, off))
+    return table(
+        [
+            "range over the squares, when",
+            "fitted V − predicted V",
+            "fitted r − predicted r",
+            "fitted r − true reward",
+        ],
+        rows,
+    )
+
+
+def best_rewards(learned, opponents, mdp, maze):
+    """Draw the rewards of the best discriminators."""
+    at_random, at_last = (learned[x] for x in list(opponents)[::2])
+    maps = {
+        r"$\log\ (d_E / d_\pi)$, random policy": at_random[2],
+        "$r(s)$, random policy": at_random[0],
+        "$r(s)$, expert": at_last[0],
+    }
+    with plots.style():
+        fig, axes = plt.subplots(1, 3, figsize=(8.4, 3.8))
+        for ax, (name, values) in zip(axes, maps.items(), strict=True):
+            if ax is axes[0]:
+                limit = np.abs(values).max()
+                image = plots.grid(ax, values, "Left")
+                image.set(cmap="PuOr", clim=(-limit, limit))
+            else:
+                image = plots.grid(ax, values - values.max(), "Left")
+                policy = soft_value_iteration(mdp, values).policy
+                heads = plots.arrows(ax, policy, maze.positions)
+                heads.set_path_effects(OUTLINE)
+            below = {
+                "orientation": "horizontal",
+                "shrink": 0.8,
+                "pad": 0.03,
+            }
+            label = "logarithm of the ratio" if ax is axes[0] else "reward"
+            fig.colorbar(image, ax=ax, label=label, **below)
+            ax.set_title(name)
+        _bare(axes)
+        plt.show()
+
+
+def game(games):
+    """Draw how the game converges for each step size."""
+    colors = (plots.RED, plots.ORANGE, plots.BLUE, plots.GREEN)
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.3), sharey=True)
+        for (step, (history, _)), color in zip(
+            games.items(), colors, strict=True
+        ):
+            for ax, column in zip(axes, history.T, strict=True):
+                ax.plot(column, color=color, label=f"η = {step}")
+                ax.set(xlabel="round", yscale="log", ylim=(1e-5, 30))
+        axes[0].set_ylabel("distance of visits")
+        axes[1].set_ylabel("largest error of the reward")
+        axes[1].tick_params(labelleft=True)
+        axes[0].legend(loc="lower left")
+        plt.show()
+
+
+def after_the_move(score):
+    """Return the table of returns where the wall has moved."""
+    return table(
+        ["planned on, after the wall has moved", "true return"],
+        [
+            (name, f"{value:.2f}".replace("-", "−"))
+            for name, value in score.items()
+        ],
+    )
+
+
+def entangled(rewards, new_policies, moved):
+    """Draw rewards and their policies where the wall has moved."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 3, figsize=(8.4, 3.1))
+        shown = ("true reward", "r(s), network", "r(s, a), exact")
+        for ax, name in zip(axes, shown, strict=True):
+            value = rewards[name]
+            value = value if value.ndim == 1 else value.max(1)
+            plots.grid(ax, value - value.max(), "Right")
+            heads = plots.arrows(ax, new_policies[name], moved.positions)
+            heads.set_path_effects(OUTLINE)
+            ax.set_title(name)
+        _bare(axes)
+        plt.show()
+
+
+def transfers(recorded, RIGHT, ends):
+    """Return recorded runs, and returns before and after the move."""
+    gail = recorded("maze-gail-demo/log-odds")
+    source = recorded("maze-airl-ppo-demo/state")
+    trained = recorded("maze-transfer-airl-ppo-demo/state")
+    carried_over = rollout(gail.policy, RIGHT, gail.seeds, episodes=10)
+    true_sac = recorded("maze-transfer-rewards-demo/true/true-scratch")
+    results = {  # on the old maze and on the new
+        "GAIL, log odds, policy carried over": (
+            ends(gail),
+            carried_over.returns.mean(1),
+        ),
+        "AIRL, r(s, a)": (
+            ends(recorded("maze-airl-ppo-demo/state-action")),
+            ends(recorded("maze-transfer-airl-ppo-demo/state-action")),
+        ),
+        "AIRL, r(s)": (ends(source), ends(trained)),
+        "off-policy AIRL, r(s)": (
+            ends(recorded("maze-imitation-demo")),
+            ends(recorded("maze-transfer-demo")),
+        ),
+        "the true reward": (None, ends(true_sac)),
+    }
+    return gail, source, trained, true_sac, results
+
+
+def spreads(results):
+    """Return names, medians and ranges as rows of a table."""
+
+    def spread_of(values):
+        if values is None:
+            return "–"
+        low, high = values.min(), values.max()
+        text = f"{np.median(values):.1f} [{low:.1f},\u00a0{high:.1f}]"
+        return text.replace("-", "−")
+
+    rows = [
+        (name, spread_of(old), spread_of(new))
+        for name, (old, new) in results.items()
+    ]
+    return rows
+
+
+def blind(columns, LEFT, RIGHT):
+    """Draw rewards and paths in both mazes."""
+    with plots.style():
+        _fig, axes = plt.subplots(2, 3, figsize=(6.6, 4.9))
+        for pair, (name, (*runs, seed)) in zip(
+            axes.T, columns.items(), strict=True
+        ):
+            for ax, run, side, env_id, color in zip(
+                pair,
+                runs,
+                ("Left", "Right"),
+                (LEFT, RIGHT),
+                (plots.ORANGE, plots.BLUE),
+                strict=True,
+            ):
+                plots.reward_map(ax, runs[0].reward, side, seed)
+                path = rollout(run.policy, env_id, range(5), 1).obs[seed, 0]
+                look = {"lw": 2.4, "path_effects": EDGE, "zorder": 4}
+                ax.plot(*path[:, :2].T, color=color, **look)
+            pair[0].set_title(name)
+            returned = abs(runs[1].returns[seed, -1])
+            pair[1].set_title(f"return −{returned:.0f}")
+        _bare(axes)
+        for ax, place in zip(axes[:, 0], ("old", "new"), strict=True):
+            ax.set_ylabel(f"{place} maze")
+        plt.show()

@@ -1,0 +1,284 @@
+"""The pictures and tables of chapter 1."""
+
+from dataclasses import replace
+
+import matplotlib.patheffects as effects
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import PowerNorm
+from scipy.sparse import eye_array
+
+import drawing
+from drawing import number
+from offairl_lite import tabular
+from offairl_lite.analysis import plots
+from offairl_lite.tabular import (
+    MDP,
+    maxent_irl,
+    occupancy,
+    policy_return,
+    soft_value_iteration,
+)
+
+OUTLINE = [effects.withStroke(linewidth=1.2, foreground="black")]
+
+
+def _walk(maze, policy, steps=80):
+    # The squares on the way of the most probable moves
+    state, way = int(maze.mdp.initial.argmax()), []
+    go = (
+        maze.mdp.transition.toarray()
+        .reshape(len(maze.positions), -1, len(maze.positions))
+        .argmax(-1)
+    )
+    for _ in range(steps):
+        way.append(maze.positions[state])
+        state = go[state, policy[state].argmax()]
+    return np.array(way)
+
+
+@plots.style()
+def learning(cells, alpha, num_frames=14):
+    """Return a film of a reward while it is learned."""
+    left, right = (tabular.maze(cells, side) for side in ("Left", "Right"))
+    mdp, true_reward, S = left.mdp, left.reward, cells**2
+    wide = replace(mdp, initial=np.full(S, 1 / S))
+    shown = soft_value_iteration(mdp, true_reward, alpha).policy
+    fit = maxent_irl(
+        wide, occupancy(wide, shown), eye_array(S), alpha, iterations=80
+    )
+    last = len(fit.history) - 1
+    steps = np.geomspace(2, last + 1, num_frames - 2).astype(int) - 1
+    steps = [last, 0, *steps]  # first what comes out
+    with plots.style():
+        fig, axes = plt.subplots(1, 2, figsize=(8.2, 4.1), dpi=100)
+    shades = plt.cm.ScalarMappable(plt.Normalize(-0.6, 0), "cividis")
+    fig.colorbar(shades, ax=axes, shrink=0.75, label="learned reward")
+    panels = []
+    for ax, side, maze, place in zip(
+        axes,
+        ("Left", "Right"),
+        (left, right),
+        ("maze of the demonstrations", "the wall has moved"),
+        strict=True,
+    ):
+        image = plots.grid(ax, np.zeros(S), side)
+        image.set_clim(-0.6, 0)
+        (edge,) = ax.plot([], [], color="white", linewidth=6)
+        (line,) = ax.plot([], [], color=plots.RED, linewidth=3)
+        ax.set_axis_off()
+        panels.append((ax, maze, place, image, edge, line))
+
+    def draw(i):
+        reward = fit.history[steps[i]]
+        for ax, maze, place, image, edge, line in panels:
+            policy = soft_value_iteration(maze.mdp, reward, alpha).policy
+            image.set_data((reward - reward.max()).reshape(cells, cells))
+            value = policy_return(maze.mdp, policy, true_reward)
+            ax.set_title(f"{place}: return {value:.1f}".replace("-", "−"))
+            way = _walk(maze, policy).T
+            edge.set_data(*way)
+            line.set_data(*way)
+        plural = "" if steps[i] == 1 else "s"
+        fig.suptitle(f"the reward after {steps[i]} step{plural}", size=12)
+
+    pictures = drawing.film(fig, draw, num_frames)
+    return np.concatenate([pictures, *[pictures[-1:]] * 5])
+
+
+def experts(left, expert, right, expert_right, true_reward):
+    """Draw the experts of both mazes over the true reward."""
+    with plots.style():
+        fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
+        shown = (("Left", left, expert), ("Right", right, expert_right))
+        for ax, (side, maze, solution) in zip(axes, shown, strict=True):
+            image = plots.grid(ax, true_reward, side)
+            heads = plots.arrows(ax, solution.policy, maze.positions)
+            heads.set_path_effects(OUTLINE)
+            ax.set_title(f"wall on the {side.lower()}")
+            ax.set_axis_off()
+        fig.colorbar(image, ax=axes, shrink=0.75, label="true reward (m)")
+        plt.show()
+
+
+def returns_of_experts(best_left, best_right, carried):
+    """Return the table of what the policies of two experts return."""
+    return drawing.table(
+        ("policy", "true return"),
+        [
+            ("expert of the first maze, at home", number(best_left)),
+            ("expert of the second maze, at home", number(best_right)),
+            ("expert of the first maze, in the second", number(carried)),
+        ],
+    )
+
+
+def ranges(true_reward, shaped):
+    """Return the table of two rewards, from smallest to largest."""
+    return drawing.table(
+        ("reward", "smallest", "largest"),
+        [
+            (name, number(r.min()), number(r.max()))
+            for name, r in (("true", true_reward), ("shaped", shaped))
+        ],
+    )
+
+
+def loop():
+    """Draw the loop of maximum-entropy inverse RL."""
+    with plt.rc_context({"font.size": 13}):
+        _fig, _ax = drawing.diagram(
+            (6.0, 2.2),
+            {
+                "r": (0.7, 1.65, "reward\n$r$", plots.GREEN),
+                "pi": (2.5, 1.65, "policy\n$\\pi_r$", plots.BLUE),
+                "v": (
+                    4.7,
+                    1.65,
+                    "its visits\n$\\rho_{\\pi_r}$",
+                    plots.BLUE,
+                ),
+                "d": (
+                    2.5,
+                    0.45,
+                    "$\\rho_E - \\rho_{\\pi_r}$",
+                    plots.ORANGE,
+                ),
+                "e": (
+                    4.7,
+                    0.45,
+                    "the expert's visits\n$\\rho_E$",
+                    plots.GREEN,
+                ),
+            },
+            [("r", "pi"), ("pi", "v"), ("v", "d"), ("e", "d"), ("d", "r")],
+        )
+    plt.show()
+
+
+def slopes(measured, predicted):
+    """Return the table of a measured and a predicted slope."""
+    return drawing.table(
+        ("slope of the log-likelihood", ""),
+        [
+            ("measured", number(measured, 3)),
+            ("from the gradient", number(predicted, 3)),
+        ],
+    )
+
+
+def weights(fit, value_of, found_right, right, best_right):
+    """Return the table of learned and true weights."""
+    return drawing.table(
+        (
+            "weights",
+            *(f"corner {k}" for k in (1, 2, 3, 4)),
+            "star",
+            "return, second maze",
+        ),
+        [
+            (name, *(number(w, 2) for w in weights), number(value))
+            for name, weights, value in (
+                ("learned", fit.weights, value_of(found_right, right)),
+                ("true", (0, 0, 0, 0, 1), best_right),
+            )
+        ],
+    )
+
+
+def moved_wall(moved, right, value_of):
+    """Draw what four rewards lead to where the wall has moved."""
+    with plots.style():
+        fig, axes = plt.subplots(2, 2, figsize=(7.2, 7.9))
+        for ax, (name, policy) in zip(
+            axes.flat, moved.items(), strict=True
+        ):
+            visits = occupancy(right.mdp, policy).sum(1)
+            image = plots.grid(ax, visits, "Right")
+            image.set(cmap="Purples", norm=PowerNorm(0.5, 0, 4))
+            plots.arrows(ax, policy, right.positions, color="black")
+            ax.set_title(f"{name}: {number(value_of(policy, right))}")
+            ax.set_axis_off()
+        below = {
+            "orientation": "horizontal",
+            "shrink": 0.5,
+            "extend": "max",
+        }
+        bar = fig.colorbar(
+            image, ax=axes, label="discounted visits", **below
+        )
+        bar.set_ticks([0, 1, 2, 4])
+        bar.minorticks_off()
+        plt.show()
+
+
+def along_the_way(best_left, best_right, curves, carried):
+    """Draw the returns of rewards that the optimiser passes."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.4), sharey=True)
+        levels = {"first": best_left, "second": best_right}
+        for ax, (place, level) in zip(axes, levels.items(), strict=True):
+            for name, color, line in (
+                ("r(s)", plots.BLUE, "-"),
+                ("r(s, a)", plots.ORANGE, "--"),
+            ):
+                ax.plot(*curves[name, place], line, color=color, label=name)
+            plots.level(ax, level, "expert", plots.GREEN)
+            ax.set(xlabel="steps of L-BFGS", title=f"{place} maze")
+        plots.level(axes[1], carried, "old policy", plots.RED)
+        axes[0].set(ylabel="true return", ylim=(-14, -3))
+        axes[1].legend(loc="lower right")
+        plt.show()
+
+
+def two_colours(n):
+    """Return two worlds and two rewards that differ by a chess board."""
+    row, column = np.divmod(np.arange(n**2), n)
+    moves = ((1, 0), (0, 1), (-1, 0), (0, -1))
+    goes_to = np.stack(
+        [(row + dy) % n * n + (column + dx) % n for dx, dy in moves], 1
+    )
+    torus = MDP(np.eye(n**2)[goes_to], np.full(n**2, n**-2), discount=0.9)
+    with_rest = MDP(
+        np.eye(n**2)[np.column_stack([goes_to, np.arange(n**2)])],
+        torus.initial,
+        discount=0.9,
+    )
+    home = -np.hypot(row - 5, column - 5) / n
+    chess = home - (-1.0) ** (row + column)
+    return torus, with_rest, home, chess
+
+
+def chess_board(home, chess, moving, rested):
+    """Draw policies with and without a chess board, and with rest."""
+    with plots.style():
+        fig, axes = plt.subplots(2, 2, figsize=(7.2, 8.2))
+        n, moves = 10, ((1, 0), (0, 1), (-1, 0), (0, -1))
+        row, column = np.divmod(np.arange(n**2), n)
+        rest = np.zeros((n**2, 1))
+        before = [np.hstack([s.policy, rest]) for s in moving]
+        policies = [*before, *(s.policy for s in rested)]
+        names = ("a reward", "the same, plus a chess board", "", "")
+        axes[0, 0].set_ylabel("no resting")
+        axes[1, 0].set_ylabel("resting allowed")
+        for ax, reward, policy, name in zip(
+            axes.flat, (home, chess) * 2, policies, names, strict=True
+        ):
+            image = ax.imshow(
+                reward.reshape(n, n), origin="lower", cmap="cividis"
+            )
+            u, v = 0.9 * (policy[:, :4] @ np.array(moves)).T
+            scale_ = {"angles": "xy", "scale_units": "xy", "scale": 1}
+            scale_ |= {"pivot": "mid", "path_effects": OUTLINE}
+            clear = np.hypot(u, v) > 0.2  # a shorter one would be a speck
+            ways = (x[clear] for x in (column, row, u, v))
+            ax.quiver(*ways, color="white", **scale_)
+            resting = policy[:, 4] > 0.5
+            dots = {"color": "white", "markeredgecolor": "black"}
+            ax.plot(column[resting], row[resting], "o", **dots)
+            ax.set(title=name, xticks=[], yticks=[])
+            ax.grid(False)
+            if ax in axes[1]:
+                below = {"orientation": "horizontal", "shrink": 0.7}
+                fig.colorbar(image, ax=ax, label="reward", **below)
+        plt.show()

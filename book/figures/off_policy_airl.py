@@ -1,0 +1,312 @@
+"""The pictures, tables and the film of chapter 5."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib import patheffects
+from matplotlib.collections import LineCollection
+
+from drawing import diagram, film, table
+from offairl_lite import demonstrations
+from offairl_lite.analysis import plots
+from offairl_lite.envs.models import GOAL, walls
+from offairl_lite.runs import records
+
+
+def number(value, digits=0):
+    """Return a number as tables show it, with thousands marked."""
+    return f"{value:,.{digits}f}".replace("-", "−")
+
+
+def _reward_map(ax, side, airl, scale):
+    inner = np.linspace(-0.08, 0.58, 81)
+    x, y = np.meshgrid(inner, inner)
+    obs = torch.tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
+    value = airl.r(scale(obs)).detach().numpy()
+    image = ax.imshow(
+        value - value.max(),
+        origin="lower",
+        extent=(inner[0], inner[-1]) * 2,
+        cmap="cividis",
+        zorder=1,
+    )
+    plots.maze(ax, side)
+    ax.axis("off")
+    return image
+
+
+def _draw_paths(ax, paths, color):
+    for path in paths:
+        edge = patheffects.withStroke(linewidth=4, foreground="white")
+        ax.plot(*path.T, color=color, lw=2, path_effects=[edge], zorder=4)
+
+
+def _levels(ax, demonstrated):
+    # what the demonstrations return, and the trap
+    plots.level(ax, demonstrated, "demonstrations", plots.GREEN)
+    plots.level(ax, -26.5, "the trap", plots.GREY, ":")
+    ax.set_ylim(-30, -4)
+
+
+def _spread(ends):
+    middle, low, high = map(number, np.percentile(ends, (50, 0, 100)))
+    return f"{middle} [{low}, {high}]"
+
+
+def moving_wall(imitation, demonstrated, kept):
+    """Return a film of the chapter: a reward is learned, the wall moves."""
+    COLORS = {"learned": plots.BLUE, "old": plots.RED, "new": plots.GREEN}
+    STORY = {
+        "shown": (12, "1  Fifty runs\n    of experts"),
+        "reward": (6, "2  The reward\n    behind them"),
+        "learned": (8, "3  The policy\n    learned with it"),
+        "wall": (5, "4  The wall moves"),
+        "old": (8, "5  The old policy\n    is stuck"),
+        "new": (9, "6  A new policy for\n    the old reward"),
+        "end": (5, None),
+    }
+    SCENES = [
+        (name, (i + 1) / count)
+        for name, (count, _) in STORY.items()
+        for i in range(count)
+    ]
+    EDGE = [patheffects.withStroke(linewidth=6, foreground="white")]
+
+    with plots.style():
+        fig = plt.figure(figsize=(7.2, 4.8), dpi=100, layout="none")
+        ax = fig.add_axes((0.005, 0.005, 0.66, 0.99))
+        image = plots.reward_map(ax, imitation.reward, "Left")
+        image.set_alpha(0)
+        ax.axis("off")
+        barrier = ax.collections[0]
+        swarm = LineCollection([], colors=plots.BLUE, lw=1.4, alpha=0.5)
+        ax.add_collection(swarm)
+        heads = ax.plot([], [], "o", color=plots.BLUE, ms=5, mec="white")[0]
+        trails = {}
+        for name, color in COLORS.items():
+            line = ax.plot([], [], color=color, lw=3.2, path_effects=EDGE)[
+                0
+            ]
+            dot = ax.plot([], [], "o", color=color, ms=15, mec="white")[0]
+            line.set_zorder(4)
+            dot.set(zorder=5, markeredgewidth=2)
+            trails[name] = line, dot
+        told = {
+            name: fig.text(0.68, 0.93 - 0.16 * i, text, size=14, va="top")
+            for i, (name, (_, text)) in enumerate(STORY.items())
+            if text
+        }
+
+    def draw_scene(frame):
+        scene, share = SCENES[frame]
+        for name, text in told.items():
+            now = name == scene or (name, scene) == ("new", "end")
+            text.set_color("black" if now else "#b0b0b0")
+            text.set_weight("bold" if now else "normal")
+        if scene == "shown":
+            part = demonstrated[:, : 2 + int(40 * share)]
+            swarm.set_segments(part)
+            heads.set_data(*part[:, -1].T)
+        elif scene == "reward":
+            image.set_alpha(share)
+            swarm.set_alpha(0.5 * (1 - share))
+            heads.set_alpha(1 - share)
+        elif scene == "wall":
+            for artist in trails["learned"]:
+                artist.set_visible(False)
+            now = (1 - share) * walls("Left") + share * walls("Right")
+            barrier.set_segments(now)
+        elif scene in COLORS:
+            path = kept["paths"][scene][: 1 + int(45 * share)]
+            line, dot = trails[scene]
+            line.set_data(*path.T)
+            dot.set_data(*path[-1:].T)
+
+    frames = film(fig, draw_scene, len(SCENES))
+    return frames
+
+
+def loop():
+    """Draw the loop of off-policy AIRL."""
+    _fig, _ = diagram(
+        (6.4, 3.9),
+        {
+            "policy": (
+                0.9,
+                3.2,
+                "policy\n" + r"$\pi(a \mid s)$",
+                plots.BLUE,
+            ),
+            "maze": (3.2, 3.2, "maze"),
+            "replay": (5.5, 3.2, "replay buffer\n" + r"$R$", plots.ORANGE),
+            "sac": (0.9, 0.6, "soft\nactor-critic", plots.BLUE),
+            "airl": (
+                3.2,
+                0.6,
+                "discriminator\n" + r"$r_\psi,\ V_\omega$",
+                plots.RED,
+            ),
+            "expert": (
+                5.5,
+                0.6,
+                "demonstrations\n" + r"$R_E$",
+                plots.GREEN,
+            ),
+        },
+        [
+            ("policy", "maze", "acts"),
+            ("maze", "replay", "stores"),
+            ("replay", "sac", "old steps"),
+            ("replay", "airl", "old steps", -0.25),
+            ("expert", "airl", "steps"),
+            ("airl", "sac", r"$r_\psi(s)$"),
+            ("sac", "policy", "improves"),
+        ],
+    )
+    plt.show()
+
+
+def mazes(demonstrated):
+    """Draw both mazes, and demonstrations in the first."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7, 3.5), sharey=True)
+        for ax, side in zip(axes, ("Left", "Right"), strict=True):
+            plots.maze(ax, side)
+            ax.set_title(f"PointMaze{side}")
+        axes[1].set_ylabel("")
+        axes[0].plot(
+            *demonstrated[:10].T, color=plots.BLUE, alpha=0.7, lw=1
+        )
+        plt.show()
+
+
+def arrivals(past, ends, names):
+    """Return the table of seeds that arrive."""
+    return table(
+        ["training with", "arrive", "median return"],
+        [
+            (name, f"{past[name]} of 5", number(np.median(ends[name]), 1))
+            for name in list(names)[:3]
+        ],
+    )
+
+
+def imitation_of_one_seed(curve, expert, airl, scale, paths):
+    """Draw returns, the learned reward and last paths."""
+    with plots.style():
+        fig, axes = plt.subplots(
+            1, 2, figsize=(7.4, 3.4), width_ratios=(5, 4)
+        )
+        steps, values = np.transpose(curve)
+        axes[0].plot(steps / 1_000, values, "o-", color=plots.BLUE, ms=3)
+        _levels(axes[0], expert.returns.mean())
+        axes[0].set(xlabel="thousand environment steps", ylabel="return")
+        image = _reward_map(axes[1], "Left", airl, scale)
+        _draw_paths(axes[1], paths, plots.BLUE)
+        fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
+        plt.show()
+
+
+def wall_moved(old_return, stuck, new, airl, scale):
+    """Draw the old and the new policy where the wall has moved."""
+    with plots.style():
+        fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
+        shown = (
+            (
+                f"old policy: return {number(old_return, 1)}",
+                stuck,
+                plots.RED,
+            ),
+            (
+                f"new policy: return {number(new['new_return'], 1)}",
+                new["new_paths"],
+                plots.GREEN,
+            ),
+        )
+        for ax, (title, walks, color) in zip(axes, shown, strict=True):
+            image = _reward_map(ax, "Right", airl, scale)
+            _draw_paths(ax, walks, color)
+            ax.set_title(title)
+        fig.colorbar(image, ax=axes, shrink=0.8, label=r"$r_\psi(s)$")
+        plt.show()
+
+
+def five_seeds(imitation, expert, transfer, target):
+    """Draw the returns of five recorded seeds."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
+        curves = (
+            (imitation, plots.BLUE, "imitation", expert.returns.mean()),
+            (transfer, plots.ORANGE, "transfer", target),
+        )
+        for ax, (run, color, title, value) in zip(
+            axes, curves, strict=True
+        ):
+            plots.curve(ax, run.steps / 1_000, run.returns, "", color)
+            _levels(ax, value)
+            ax.set(title=title, xlabel="thousand steps")
+        axes[0].set(ylabel="true return")
+        plt.show()
+
+
+def behind_the_star(imitation, released, line, kept):
+    """Draw rewards and log π on the line through the star."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.0), sharex=True)
+        for run, color, label in (
+            (imitation, plots.BLUE, "AIRL loss"),
+            (released, plots.ORANGE, "log-ratio loss"),
+        ):
+            r = run.reward(line.expand(5, -1, -1)).numpy()
+            r = (r - r.max(1, keepdims=True)).T
+            axes[0].plot(line[:, 1], r, color=color, lw=1)
+            axes[0].plot([], [], color=color, label=label)
+        sides = (
+            (kept["log_pi"]["star"], plots.GREEN, "experts"),
+            (kept["log_pi"]["wall"], plots.BLUE, "own actions"),
+        )
+        for drawn, color, label in sides:
+            y, value = drawn["y"].flatten(), drawn["log_pi"].flatten()
+            axes[1].plot(y, value, ".", color=color, label=label, alpha=0.6)
+        for ax in axes:
+            ax.axvline(GOAL[1], color=plots.GREY, ls=":", lw=1.2)
+            ax.set(xlim=(0.4, 0.56), xlabel="y (m)")
+            ax.set_xticks((0.4, 0.45, 0.5, 0.55))
+        axes[0].legend(loc="lower right", fontsize="large")
+        axes[1].legend(loc="lower left", fontsize="large")
+        axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")
+        axes[1].set(ylabel=r"the policy's $\log\ \pi$", ylim=(-75, 4))
+        plt.show()
+
+
+def robot_results():
+    """Return recorded robots, their demonstrations, and rows of a table."""
+    robot_runs, demonstrated_return, rows = {}, {}, []
+    for robot in ("Hopper", "Walker2d", "HalfCheetah"):
+        about = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
+        demonstrated_return[robot] = about["demonstrated"][0]
+        for loss in ("released", "exact"):
+            robot_runs[robot, loss] = records.read(
+                f"records/what-decides-demo/{robot}-{loss}-fixed-short"
+            )
+        recipe, exact = (
+            _spread(robot_runs[robot, loss].returns[:, -1])
+            for loss in ("released", "exact")
+        )
+        rows.append(
+            (robot, number(demonstrated_return[robot]), recipe, exact)
+        )
+    return robot_runs, demonstrated_return, rows
+
+
+def robots(rows):
+    """Return the table of returns on robots."""
+    return table(
+        [
+            "median [worst, best seed]",
+            "demonstrations",
+            "recipe",
+            "AIRL loss",
+        ],
+        rows,
+    )

@@ -1,0 +1,361 @@
+"""The pictures, tables and the film of chapter 6."""
+
+import matplotlib.patheffects as effects
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.ticker import NullLocator
+
+from drawing import diagram, film, table
+from offairl_lite import demonstrations
+from offairl_lite.analysis import epic, plots
+from offairl_lite.runs import records
+
+LEVELS = (0.5, 0.9, 0.99)
+
+
+EDGE = [effects.Stroke(linewidth=5, foreground="white"), effects.Normal()]
+
+
+def _bare(axes):
+    # maps need no axes
+    for ax in np.ravel(axes):
+        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        for spine in ax.spines.values():
+            spine.set_visible(False)
+
+
+def _dots(ax, y, values, color, spread=0.24):
+    # A dot for each seed, one below the other, and their median.
+    rows = y + np.linspace(-spread, spread, len(values))
+    ax.plot(np.sort(values), rows, "o", color=color, alpha=0.7)
+    ax.plot(np.median(values), y, "|", color="black", ms=15, mew=2)
+
+
+def learning(story_r, STORIES, hold=2):
+    """Return a film of two rewards and policies while they learn."""
+    with plots.style():
+        fig, axes = plt.subplots(
+            2,
+            2,
+            figsize=(7.2, 5.2),
+            dpi=80,
+            height_ratios=(3.4, 1),
+            sharey="row",
+        )
+    depth = min(s["map"].min() for s in story_r)
+    half = 0.33 / (len(story_r[0]["map"]) - 1)
+    extent = (-0.08 - half, 0.58 + half) * 2
+    last = story_r[-1]["updates"]
+    artists = []
+    for (top, low), (title, (story, color)) in zip(
+        axes.T, STORIES.items(), strict=True
+    ):
+        image = top.imshow(
+            story[0]["map"],
+            origin="lower",
+            extent=extent,
+            interpolation="bilinear",
+            cmap="cividis",
+            zorder=1,
+        )
+        image.set_clim(depth, 0)
+        plots.maze(top, "Left")
+        _bare(top)
+        top.set_title(title)
+        ghost = top.plot([], [], color="white", lw=1, alpha=0.6)[0]
+        line = top.plot([], [], color=color, lw=2.8, path_effects=EDGE)[0]
+        dot = top.plot([], [], "o", color=color, mec="white", ms=10)[0]
+        dot.set_zorder(5)
+        low.semilogy([s["updates"] for s in story], [np.nan] * len(story))
+        low.set(xlim=(0, last), ylim=(0.3, 3e5), xlabel="updates")
+        low.set_yticks([1, 100, 10_000])
+        low.yaxis.set_minor_locator(NullLocator())
+        curve = low.plot([], [], color=color, lw=2.4)[0]
+        artists.append((story, image, ghost, line, dot, curve))
+    axes[1, 0].set_ylabel(r"|mean $Q$|")
+    bar = fig.colorbar(image, ax=axes[0], shrink=0.8)
+    bar.set_label(r"learned $r_\psi$, best place 0")
+
+    def draw(i):
+        k, part = divmod(i, hold)
+        if k >= len(story_r):
+            k, part = len(story_r) - 1, hold - 1
+        for story, image, ghost, line, dot, curve in artists:
+            now = story[k]
+            image.set_data(now["map"])
+            if k:
+                ghost.set_data(*story[k - 1]["path"].T)
+            path = now["path"]
+            path = path[: 1 + len(path) * (part + 1) // hold]
+            line.set_data(*path.T)
+            dot.set_data(*path[-1:].T)
+            past = story[: k + 1]
+            updates = [s["updates"] for s in past]
+            curve.set_data(updates, [s["q"] for s in past])
+
+    with plots.style():
+        return film(fig, draw, hold * len(story_r) + 6)
+
+
+def variants(NAMES, final, COLORS, correlation, shown):
+    """Draw returns and correlations of the variants."""
+    LABELS = [
+        "1: logit, $r(s, a)$",
+        "2: logit, $r(s)$",
+        "3: $r(s, a)$",
+        "4: $r(s)$",
+        "DAC: logit",
+    ]
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.1), sharey=True)
+        for i, name in enumerate(NAMES):
+            _dots(axes[0], i, final[name], COLORS[name])
+            _dots(axes[1], i, correlation[name], COLORS[name])
+        axes[0].axvline(shown, color=plots.GREEN, ls="--", lw=1.2)
+        axes[1].axvline(0, color=plots.GREY, lw=1)
+        axes[0].set(yticks=range(5), yticklabels=LABELS, ylim=(4.5, -0.5))
+        axes[0].set(xlim=(-68, -3), xlabel="true return at the end")
+        axes[0].set_xticks(range(-60, 0, 10))
+        axes[1].set(xlim=(-1.08, 1.08), xlabel="correlation of the returns")
+        plt.show()
+
+
+def feedback():
+    """Draw how a whole logit as reward feeds back."""
+    diagram(
+        (7.0, 3.2),
+        {
+            "rare": (
+                1.2,
+                2.6,
+                "policy $\\pi_k$:\n$a$ too rare",
+                plots.BLUE,
+            ),
+            "high": (
+                5.6,
+                2.6,
+                "reward $f - \\log\\ \\pi_k$:\n$a$ high",
+                plots.RED,
+            ),
+            "often": (
+                5.6,
+                0.6,
+                "policy $\\pi_{k+1}$:\n$a$ too frequent",
+                plots.BLUE,
+            ),
+            "low": (
+                1.2,
+                0.6,
+                "reward $f - \\log\\ \\pi_{k+1}$:\n$a$ low",
+                plots.RED,
+            ),
+        },
+        [
+            ("rare", "high", "round $k$"),
+            ("high", "often", "SAC"),
+            ("often", "low", "round $k + 1$"),
+            ("low", "rare", "SAC"),
+        ],
+    )
+    plt.show()
+
+
+def alternation(full, part):
+    """Draw how far rounds lead from the fixed point."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
+        colors = (plots.RED, plots.ORANGE, plots.GREEN, plots.BLUE)
+        for (alpha, errors), color in zip(
+            full.items(), colors, strict=True
+        ):
+            axes[0].semilogy(
+                errors, color=color, label=f"$\\alpha = {alpha}$"
+            )
+        colors = (plots.RED, plots.GREEN, plots.BLUE)
+        for (share, errors), color in zip(
+            part.items(), colors, strict=True
+        ):
+            axes[1].semilogy(
+                errors, color=color, label=f"$\\eta = {share}$"
+            )
+        axes[0].set(ylabel=r"largest $|\log\pi - \log\pi^*|$")
+        axes[0].set_title("the best answer")
+        axes[1].set_title(r"a share of the way, $\alpha = 0.2$")
+        for ax in axes:
+            ax.set(xlabel="round")
+            ax.legend()
+        plt.show()
+
+
+def tails(STORIES):
+    """Draw how surprising old actions become, and return it."""
+    tails = {}
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.3), sharey=True)
+        for ax, (title, (story, color)) in zip(
+            axes, STORIES.items(), strict=True
+        ):
+            updates = [s["updates"] for s in story]
+            tails[title] = np.array([s["surprise"] for s in story])
+            for column, line, level in zip(
+                tails[title].T, ("-", "--", ":"), LEVELS, strict=True
+            ):
+                label = f"{level:.0%}"
+                ax.plot(updates, column, line, color=color, label=label)
+            ax.set(xlabel="updates", title=title)
+            ax.set_yscale("symlog", linthresh=10)
+            ax.legend(loc="upper left")
+        axes[0].set_ylabel(r"$-\log\ \pi$ of old actions")
+        plt.show()
+    return tails
+
+
+def crossed(WORDS, counted):
+    """Return the table of seeds that arrive, by loop and tail."""
+
+    def cell(*forms):
+        "What is in the table."
+        return "<br>".join(
+            f"<i>{WORDS[x]}</i>: {counted[x]}" for x in forms
+        )
+
+    return table(
+        ("", "tail in the reward", "no tail"),
+        [
+            (
+                "<b>loop in the reward</b>",
+                cell("", "-cold"),
+                cell("-mixture") + "<br>(a weaker loop)",
+            ),
+            (
+                "<b>no loop there</b>",
+                "not tested",
+                cell("-soft", "-learned"),
+            ),
+        ],
+    )
+
+
+def isolate(FORMS, COLORS, final, last_q, shown, WORDS, arrived_of):
+    """Draw returns and values of the variants."""
+    GROUPS = [(form, n) for form in FORMS for n in (1, 2)]
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 4.0), sharey=True)
+        rows = np.arange(10) + 0.6 * (np.arange(10) // 2)
+        for y, (form, n) in zip(rows, GROUPS, strict=True):
+            name = f"implementation-{n}{form}"
+            color = COLORS[f"implementation-{n}"]
+            _dots(axes[0], y, final[name], color, 0.25)
+            _dots(axes[1], y, last_q(name), color, 0.25)
+        axes[0].axvline(shown, color=plots.GREEN, ls="--", lw=1.2)
+        axes[0].axvline(-26.5, color=plots.GREY, ls=":", lw=1.2)
+        words = [f"{WORDS[form]}, {n}" for form, n in GROUPS]
+        axes[0].set(yticks=rows, yticklabels=words)
+        axes[0].set(ylim=(rows[-1] + 0.6, -0.6))
+        axes[0].set(xlim=(-68, -3), xlabel="true return at the end")
+        axes[0].set_xticks(range(-60, 0, 10))
+        axes[1].set(xscale="log", xlabel="|mean Q| at the end")
+        right = axes[1].secondary_yaxis("right")
+        counts = [arrived_of(f"implementation-{n}{x}") for x, n in GROUPS]
+        right.set_yticks(rows, counts)
+        right.tick_params(length=0)
+        right.spines["right"].set_visible(False)
+        right.set_ylabel("seeds that arrive")
+        plt.show()
+
+
+def transitions_of_the_maze(recorded_here, expert):
+    """Return transitions, and as many in another order."""
+    # Transitions of the maze: half of experts, half of the film's warm-up.
+    draw, parts = np.random.default_rng(0), ("obs", "action", "next_obs")
+    warm = recorded_here["warmup"]
+    index = draw.choice(5_000, len(warm["obs"]), replace=False)
+    transitions = epic.Transitions(
+        *(
+            torch.cat(
+                [
+                    getattr(expert.transitions, part)[index],
+                    torch.tensor(warm[part], dtype=torch.float32),
+                ]
+            )
+            for part in parts
+        )
+    )
+    COUNT = len(transitions.obs)
+    samples = epic.Transitions(
+        *(part[draw.permutation(COUNT)] for part in transitions)
+    )
+    return transitions, samples
+
+
+def distances_to_truth(COLORS, labels, far, owner, means):
+    """Draw the EPIC distances to the true reward."""
+    tints = {name[-1]: tint for name, tint in COLORS.items()}
+    tints |= {"released": plots.GREY, "DAC": COLORS["dac"]}
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(6.4, 3.2))
+        for i, name in enumerate(labels[1:], 1):
+            _dots(ax, i, far[0, owner == i], tints[name])
+            ax.plot(means[i, i], i, "D", mfc="none", mec="black", ms=7)
+        words = ["logit, r(s, a)", "logit, r(s)", "r(s, a)", "r(s)"]
+        words += ["log-ratio loss", "DAC"]
+        ax.set(yticks=range(1, 7), yticklabels=words, ylim=(6.5, 0.5))
+        ax.set(xlim=(0, 0.2), xlabel="EPIC distance to the true reward")
+        plt.show()
+
+
+def transfers(HOME):
+    """Return arrivals where the wall moved, and robots in percent."""
+    MOVED = HOME / "maze-transfer-rewards-demo"
+    three = MOVED / "implementation-4-released-and-airl/policy"
+    arrivals = {  # from scratch and from the old policy: folder, first seed
+        "DAC": (
+            (MOVED / "dac-and-state-action/scratch", 0),
+            (MOVED / "dac-and-state-action/policy", 0),
+        ),
+        "4": ((HOME / "maze-transfer-demo", 0), (three, 0)),
+        "released": ((MOVED / "released-and-airl/scratch", 0), (three, 5)),
+    }
+    arrived = {}
+    for name, parts in arrivals.items():
+        ends = [
+            records.read(folder).returns[first : first + 5, -1]
+            for folder, first in parts
+        ]
+        arrived[name] = int((np.concatenate(ends) > -14).sum())
+
+    robot_runs, percent = {}, {}
+    for robot in ("Hopper", "Walker2d", "HalfCheetah"):
+        about = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
+        for name in ("dac", "released"):
+            run = records.read(
+                HOME / f"what-decides-demo/{robot}-{name}-fixed-short"
+            )
+            robot_runs[robot, name] = run
+            share = 100 * run.returns[:, -1] / about["demonstrated"][0]
+            percent[robot, name] = np.median(share)
+    return arrived, robot_runs, percent
+
+
+def summary(compared, truth, arrived, titles):
+    """Return the table of three rewards."""
+    return table(
+        (
+            "reward",
+            "median<br>return",
+            "median<br>EPIC distance",
+            "wall moved:<br>arrive",
+        ),
+        [
+            (
+                title,
+                f"{np.median(compared[name].returns[:, -1]):.1f}".replace(
+                    "-", "−"
+                ),
+                f"{truth[name]:.2f}",
+                f"{arrived[name]} of 10",
+            )
+            for name, title in titles.items()
+        ],
+    )

@@ -1,0 +1,220 @@
+"""The pictures, tables and the film of chapter 4."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+
+from drawing import diagram, film, table
+from offairl_lite import tabular
+from offairl_lite.analysis import plots
+from offairl_lite.runs import records
+from paper_figures import PAPER
+
+
+def _shown(x):
+    return f"{x:,.0f}".replace("-", "−") if abs(x) > 50 else f"−{-x:.1f}"
+
+
+def sac_loop():
+    """Draw the loop of SAC."""
+    boxes = {
+        "env": (0.85, 2.5, "environment"),
+        "replay": (3.3, 2.5, "replay\nbuffer"),
+        "critic": (6.4, 2.5, "critics\n$Q_1, Q_2$", plots.BLUE),
+        "actor": (0.85, 0.6, "actor $\\pi$", plots.BLUE),
+        "slow": (6.4, 0.6, "slow copies\n$\\bar{Q}_1, \\bar{Q}_2$"),
+    }
+    arrows = [
+        ("actor", "env", "action $a$"),
+        ("env", "replay", "$s, a, r, s'$"),
+        ("replay", "critic", "minibatch"),
+        ("critic", "actor", "which actions\nare better"),
+        ("critic", "slow", "followed at\nthe rate $\\tau$", 0.6),
+        ("slow", "critic", "give the\ntarget $y$", 0.6),
+        ("actor", "slow", "next action $a'$"),
+    ]
+    _fig, _ax = diagram((7.8, 3.1), boxes, arrows)
+    plt.show()
+
+
+def soft_iteration(grid, values, iterates, errors):
+    """Draw the value of a policy that improves."""
+    every = np.arange(14 * 14).reshape(14, 14)[::2, ::2].ravel()
+    with plots.style():
+        fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.8), sharey=True)
+        for k, ax in zip((0, 1, 5), axes, strict=True):
+            image = plots.grid(ax, values[k], "Left")
+            image.set_clim(-15, values.max())
+            move = iterates[k].policy[every], grid.positions[every]
+            plots.arrows(ax, *move, "black").width = 0.011
+            error = f"{errors[k]:.1f}" if k < 5 else "below $10^{-9}$"
+            title = (
+                f"{k} improvement{'s' * (k != 1)}\nlargest error {error}"
+            )
+            ax.set(title=title, ylabel="" if k else "y (m)")
+        bar = {"shrink": 0.75, "extend": "min"}
+        fig.colorbar(image, ax=axes, label="soft value", **bar)
+        plt.show()
+
+
+def temperatures(solutions, grid):
+    """Draw where policies of several temperatures go."""
+    with plots.style():
+        fig, axes = plt.subplots(1, 4, figsize=(7.2, 2.2), sharey=True)
+        for ax, alpha in zip(axes, solutions, strict=True):
+            visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
+            share = visits.sum(1) / visits.sum()
+            image = plots.grid(ax, np.log10(share), "Left")
+            image.set_clim(-4, -1)
+            ax.set(
+                title=f"α = {alpha}", ylabel="y (m)" if alpha == 1 else ""
+            )
+        fig.colorbar(image, ax=axes, shrink=0.75, label="log10 of share")
+        plt.show()
+
+
+def squashed(CASES, normal, density_of, a):
+    """Draw samples of squashed Gaussians and their density."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 4, figsize=(8.4, 2.4), sharey=True)
+        for ax, (mean, std) in zip(axes, CASES, strict=True):
+            x, density = (
+                torch.tanh(mean + std * normal),
+                density_of(mean, std),
+            )
+            bars = {"color": "#f3c98b", "ec": "white", "lw": 0.8}
+            ax.hist(x, 24, density=True, **bars)
+            ax.plot(a[::400], density[::400], color=plots.BLUE)
+            ax.set(title=f"μ = {mean:g}, σ = {std}", xlabel="action")
+            ax.set(ylim=(0, 2.6), xticks=[-1, 0, 1])
+            ax.grid(False)
+        axes[0].set_ylabel("density")
+        plt.show()
+
+
+def pendulum_curves(entropy, temperature, total, step, STEPS):
+    """Draw return, entropy and temperature of the training."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.6))
+        names = ("return", "entropy (nats)", "temperature α")
+        columns = (total, entropy, temperature)
+        for ax, name, column in zip(axes, names, columns, strict=True):
+            ax.axvspan(0, 1, color="0.92", linewidth=0)
+            after = slice(0 if name == "return" else 4, None)
+            ax.plot(step[after] / 1000, column[after], "o-", ms=3.5)
+            ax.set(title=name, xlabel="thousand steps")
+            ax.set_xlim(0, 1.03 * STEPS / 1000)
+        axes[0].set_ylim(-1900, 50)
+        axes[1].axhline(-1, color=plots.GREY, linestyle="--")
+        axes[2].set_ylim(0, 0.25)
+        plt.show()
+
+
+def swing_up(sac, pendulum, act):
+    """Return states of an episode and a film of it on the map of Q."""
+
+    def swing(sac, steps=120):
+        # one episode from hanging still, without noise
+        env, states = pendulum(), []
+        env.reset(seed=0)
+        env.unwrapped.state = np.array([np.pi, 0.0])
+        obs = env.step(np.zeros(1, dtype=np.float32))[0]
+        for _ in range(steps):
+            states.append(env.unwrapped.state.copy())
+            obs = env.step(act(sac, torch.tensor(obs), 0.0).tanh().numpy())[
+                0
+            ]
+        return np.array(states)
+
+    states = swing(sac)
+    from_below, speed = np.degrees(states[:, 0] - np.pi), states[:, 1]
+
+    edge = 225
+    x, y = np.meshgrid(
+        np.linspace(-edge, edge, 161), np.linspace(-8, 8, 121)
+    )
+    theta = np.radians(x) + np.pi
+    points = np.stack([np.cos(theta), np.sin(theta), y / 8], -1)
+    points = torch.tensor(points, dtype=torch.float32)
+    with torch.no_grad():
+        worth = sac.critic(points, sac.actor(points)[0]).amin(0).numpy()
+    # Gymnasium's pendulum comes to rest at the top if ω² = 30 (1 - cos θ).
+    enough = np.sqrt(30 * (1 + np.cos(np.radians(x[0]))))
+
+    with plots.style(), plt.rc_context({"font.size": 13}):
+        size = {"figsize": (9.6, 4.4), "dpi": 100, "width_ratios": (1, 1.7)}
+        fig, (left, right) = plt.subplots(1, 2, **size)
+        left.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
+        left.set_title("the pendulum")
+        left.axis("off")
+        image = right.imshow(
+            worth,
+            origin="lower",
+            extent=(-edge, edge, -8, 8),
+            aspect="auto",
+            cmap="cividis",
+        )
+        fig.colorbar(image, ax=right, label="Q of the action without noise")
+        right.set(xlabel="angle", ylabel="speed (rad/s)")
+        right.set_title("value of each state")
+        right.plot(x[0], enough, "--", color="white", linewidth=1.5)
+        right.plot(x[0], -enough, "--", color="white", linewidth=1.5)
+        right.set_xlim(-edge, edge)
+        places = ("upright", "hanging", "upright")
+        right.set_xticks((-180, 0, 180), places)
+        right.grid(False)
+        tip = np.stack([-np.sin(states[:, 0]), np.cos(states[:, 0])], -1)
+        line = {"color": plots.ORANGE, "linewidth": 3}
+        (trail,) = left.plot([], [], alpha=0.5, **line)
+        (rod,) = left.plot([], [], color="#333333", linewidth=9)
+        left.plot(0, 0, "o", color="#333333", markersize=13)
+        (path,) = right.plot([], [], **line)
+        (dot,) = right.plot([], [], "o", color=plots.ORANGE, markersize=12)
+        for drawn in (dot, rod):
+            drawn.set_markeredgecolor("white")
+
+    def draw(i):
+        now = 4 * i
+        rod.set_data(*np.stack([0 * tip[now], tip[now]]).T)
+        trail.set_data(*tip[max(0, now - 15) : now + 1].T)
+        path.set_data(from_below[: now + 1], speed[: now + 1])
+        dot.set_data(from_below[now : now + 1], speed[now : now + 1])
+
+    frames = film(fig, draw, 25)
+    return states, x, y, worth, enough, frames
+
+
+def learners(curves):
+    """Draw the returns of three learners."""
+    colors = (plots.BLUE, plots.ORANGE, plots.RED)
+    with plots.style():
+        _fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.6), sharey=True)
+        for ax, color, name in zip(axes, colors, curves, strict=True):
+            totals = curves[name]
+            step = 0.2 * np.arange(1, totals.shape[1] + 1)
+            ax.axvspan(0, 1, color="0.92", linewidth=0)
+            ax.plot(step, totals.T, color=color, alpha=0.35, lw=0.8)
+            ax.plot(step, np.median(totals, 0), "o-", ms=3.5, color=color)
+            ax.set(title=name, xlabel="thousand steps")
+            ax.set_xlim(0, 5.15)
+        axes[0].set_ylabel("return")
+        plt.show()
+
+
+def experts(trained_by, RECORDS, shipped):
+    """Return the table of the experts that were trained."""
+    rows = []
+    for task, folder in trained_by.items():
+        run = records.read(RECORDS / folder)
+        fixed = run.config.learner.temperature
+        row = (
+            task,
+            "learned" if fixed is None else str(fixed),
+            f"{run.steps[-1]:,}",
+            _shown(max(shipped[task]["returns"])),
+            _shown(shipped[task]["demonstrated"][-1]),
+            _shown(PAPER[task][0]),
+        )
+        rows.append(row)
+    head = ("task", "α", "steps", "best expert", "demonstrations", "paper")
+    return table(head, rows)

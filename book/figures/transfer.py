@@ -1,0 +1,383 @@
+"""The pictures, tables and the film of chapter 9."""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib import patheffects
+
+from drawing import diagram, film, table
+from offairl_lite.analysis import plots
+from offairl_lite.core.rollouts import rollout
+from offairl_lite.envs.models import GOAL, START
+from offairl_lite.runs import records
+
+RECORDS = Path("records")
+LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
+two = "maze-transfer-rewards-demo/released-and-airl"
+
+
+EDGE = [patheffects.withStroke(linewidth=4.5, foreground="white")]
+
+
+def walk(policy, task):
+    """Return places (S, T, 2) of one episode of each seed."""
+    seeds = range(len(policy))
+    return rollout(policy, task, seeds, 1).obs[:, 0, :, :2]
+
+
+three = "maze-transfer-rewards-demo/implementation-4-released-and-airl"
+SMALL, LARGE = "maze-retraining-demo", "maze-retraining-full"
+ARMS = ("scratch", "policy", "8-both", "8-gate")
+HELPS = {
+    "": "short fresh",
+    "-own-starts": "short fresh, guide: imitator",
+    "-expert-starts": "short fresh, guide: expert",
+    "-fresh": "long fresh",
+    "-helped": "long held",
+    "-cool": "long held, temperature 0.02",
+}
+# Most runs are named after start and help; these are elsewhere.
+ELSEWHERE = {
+    (SMALL, "scratch", "-fresh"): f"{three}/scratch-alone",
+    (SMALL, "scratch", "-helped"): "maze-transfer-demo",
+    (SMALL, "policy", "-helped"): f"{three}/policy",
+    (LARGE, "scratch", "-helped"): f"{LARGE}/scratch",
+    (LARGE, "8-gate", "-cool"): "maze-retraining-cool-full/8-gate-helped",
+}
+BAR = -14
+
+
+pair = "maze-transfer-rewards-demo/dac-and-state-action"
+BEGINS = ("scratch", "policy", "scratch-alone", "policy-alone")
+
+
+def _all_in(folder, first=0):
+    return {begin: (f"{folder}/{begin}", first) for begin in BEGINS}
+
+
+# Where the runs are, and the first of the five seeds: rewards of one form
+# were TRIED together.
+TRIED = {
+    "exact logit": {
+        "scratch": ("maze-transfer-demo", 0),
+        "policy": (f"{three}/policy", 0),
+        "scratch-alone": (f"{three}/scratch-alone", 0),
+        "policy-alone": ("maze-retraining-demo/policy", 0),
+    },
+    "density of the replay": _all_in("maze-transfer-rewards-demo/mixture"),
+    "released loss": {
+        "scratch": (f"{two}/scratch", 0),
+        "policy": (f"{three}/policy", 5),
+        "scratch-alone": (f"{three}/scratch-alone", 5),
+        "policy-alone": (f"{two}/policy-alone", 0),
+    },
+    "DAC": _all_in(pair),
+    "PPO, r(s)": {
+        "scratch": (f"{two}/scratch", 5),
+        "policy": (f"{three}/policy", 10),
+        "scratch-alone": (f"{three}/scratch-alone", 10),
+        "policy-alone": (f"{two}/policy-alone", 5),
+    },
+    "PPO, r(s, a)": _all_in(pair, 5),
+    "true reward": {
+        begin: (f"maze-transfer-rewards-demo/true/true-{begin}", 0)
+        for begin in BEGINS
+    },
+}
+
+
+SOURCES = {
+    "exact logit": "maze-imitation-demo",
+    "density of the replay": "maze-rewards-demo/implementation-4-mixture",
+    "released loss": "maze-imitation-released-loss-demo",
+    "DAC": "maze-dac-demo/sac",
+    "PPO, r(s)": "maze-airl-ppo-demo/state",
+    "PPO, r(s, a)": "maze-airl-ppo-demo/state-action",
+}
+
+
+NAMED = {
+    "exact logit": "AIRL loss, r(s)",
+    "density of the replay": "density of the replay, r(s)",
+    "released loss": "log-ratio loss, r(s)",
+    "DAC": "DAC, r(s, a)",
+}
+
+
+def old_and_new(source, again, on_ppo, ppo):
+    """Return a film of old and new policies, and what moves in it."""
+    scenes = (
+        ("the old policies", source.policy, source.reward, plots.RED),
+        (
+            "new policies,\noff-policy reward",
+            again.policy,
+            source.reward,
+            plots.GREEN,
+        ),
+        (
+            "new policies,\non-policy reward",
+            on_ppo.policy.member(*range(5, 10)),
+            ppo.reward,
+            plots.ORANGE,
+        ),
+    )
+    with plots.style():
+        fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.8), dpi=130)
+        moving = []
+        for ax, (title, policy, reward, color) in zip(
+            axes, scenes, strict=True
+        ):
+            plots.reward_map(ax, reward, "Right", 0)
+            ax.axis("off")
+            ax.set_title(title, fontsize=12)
+            for path in walk(policy, RIGHT):
+                (line,) = ax.plot([], [], color=color, lw=2.2, zorder=4)
+                line.set_path_effects(EDGE)
+                (dot,) = ax.plot([], [], "o", color=color, ms=9, zorder=5)
+                dot.set(markeredgecolor="white", markeredgewidth=1.5)
+                moving.append((path, line, dot))
+
+    def draw_step(frame):
+        for path, line, dot in moving:
+            line.set_data(*path[: frame + 1].T)
+            dot.set_data(*path[frame : frame + 1].T)
+
+    frames = film(fig, lambda i: draw_step(min(2 * i, 54)), 33)
+    return moving, frames
+
+
+def frozen():
+    """Draw how a frozen reward trains a new policy."""
+    diagram(
+        (7.2, 3.5),
+        {
+            "demos": (
+                1.0,
+                2.9,
+                "demonstrations\nof the old maze",
+                plots.GREEN,
+            ),
+            "airl": (3.6, 2.9, "off-policy\nAIRL", plots.RED),
+            "r": (
+                6.2,
+                2.9,
+                "reward " + r"$r_\psi(s)$" + "\nfrozen",
+                plots.RED,
+            ),
+            "pi": (3.6, 1.6, "old policy " + r"$\pi$", plots.BLUE),
+            "help": (1.0, 0.6, "warm-up,\nguide"),
+            "sac": (6.2, 0.6, "SAC in the\nnew maze", plots.BLUE),
+        },
+        [
+            ("demos", "airl"),
+            ("airl", "r"),
+            ("airl", "pi"),
+            ("r", "sac", "reward"),
+            ("pi", "sac", "start?"),
+            ("help", "sac", "exploration"),
+        ],
+    )
+    plt.show()
+
+
+def three_forms(errors):
+    """Return the table of what three changes of the reward do."""
+    forms = ("constant", "shaping that sees s′", "shaping folded into s, a")
+    return table(
+        ["the reward plus", "error in the old world", "in the new world"],
+        [
+            (form, *(f"{errors[world][i]:.2f}" for world in errors))
+            for i, form in enumerate(forms)
+        ],
+    )
+
+
+def way_back(moved, shown, carried, there):
+    """Draw the returns of new policies, and their paths."""
+    with plots.style():
+        fig, axes = plt.subplots(
+            1, 2, figsize=(7.4, 3.3), width_ratios=(5, 4)
+        )
+        plots.curve(axes[0], moved.steps / 1_000, moved.returns, "")
+        plots.level(axes[0], shown, "demonstrations", plots.GREEN)
+        plots.level(axes[0], carried.mean(), "old policies", plots.RED)
+        axes[0].set(
+            xlabel="thousand environment steps", ylabel="true return"
+        )
+        axes[0].set_ylim(-34, -4)
+        image = plots.reward_map(axes[1], there.reward, "Left")
+        for path in walk(moved.policy, LEFT):
+            axes[1].plot(
+                *path.T,
+                color=plots.GREEN,
+                lw=2,
+                path_effects=EDGE,
+                zorder=4,
+            )
+        axes[1].axis("off")
+        fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
+        plt.show()
+
+
+def warm_ups(fresh, held):
+    """Draw the places that fresh and held actions lead to."""
+    with plots.style():
+        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 3))
+        for ax, found, title, color in (
+            (axes[0], fresh, "fresh actions", plots.ORANGE),
+            (axes[1], held, "held actions", plots.BLUE),
+        ):
+            ax.plot(*found.T, ".", color=color, ms=3, alpha=0.5, zorder=1)
+            plots.maze(ax, "Right")
+            ax.axis("off")
+            ax.set_title(title)
+        plt.show()
+
+
+def retrainings():
+    """Return the recorded runs, by size, start and help."""
+    runs = {}
+    for size_of in (SMALL, LARGE):
+        for arm in ARMS:
+            for end_of in HELPS:
+                key = size_of, arm, end_of
+                named = arm != "scratch" and f"{size_of}/{arm}{end_of}"
+                place = ELSEWHERE.get(key, named)
+                if place and (RECORDS / place).exists():
+                    runs[key] = records.read(RECORDS / place)
+    return runs
+
+
+def count(arrives, runs):
+    """Return how many seeds arrive, as words, by size and help."""
+    counts = {
+        size_of: {
+            end_of: [
+                str(arrives((size_of, arm, end_of)).sum())
+                if (size_of, arm, end_of) in runs
+                else ""
+                for arm in ARMS
+            ]
+            for end_of in HELPS
+        }
+        for size_of in (SMALL, LARGE)
+    }
+    return counts
+
+
+def starts_and_helps(counts):
+    """Return the table of how many seeds arrive."""
+    lines = []
+    for size_of, label in (
+        (SMALL, "small networks: arrivals out of 5"),
+        (LARGE, "the paper’s networks: arrivals out of 10"),
+    ):
+        lines.append((f"<b>{label}</b>", *[""] * len(ARMS)))
+        for end_of, row in counts[size_of].items():
+            if any(row):
+                row = [count or "–" for count in row]
+                lines.append((HELPS[end_of], *row))
+    starts = ("scratch", "old<br>policy", "gate and<br>primitives")
+    return table(["warm-up", *starts, "gate<br>alone"], lines)
+
+
+def when_a_gate(offered, arrived, gated):
+    """Draw which seeds arrive, by the pushes that they can make."""
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(7.2, 3))
+        order = offered.argsort()
+        for i, succeeds in enumerate(arrived.values()):
+            for place, there_it_is in enumerate(succeeds[order]):
+                color = plots.BLUE if there_it_is else plots.GREY
+                fill = color if there_it_is else "w"
+                ax.plot(place, i, "s", color=color, mfc=fill, ms=11)
+        ax.axvline(
+            (offered < 0.9).sum() - 0.5, color=plots.GREY, lw=1, ls="--"
+        )
+        ax.set_yticks(range(len(gated)), gated)
+        ax.set(ylim=(3.6, -0.6), xlim=(-0.6, 9.6))
+        ax.set_xticks(
+            range(10), [f"{100 * x:.0f} %" for x in offered[order]]
+        )
+        ax.set_ylabel("warm-up")
+        ax.set_xlabel("places where a primitive pushes left")
+        ax.grid(False)
+        plt.show()
+
+
+def where_rewards_lead(found, blamed, backwards):
+    """Return the table of arrivals for each learned reward."""
+    lines = []
+    for name in TRIED:
+        good, fresh_ones = sum(found[name][:2]), sum(found[name][2:])
+        bad = ""
+        if name in blamed and good < 10:
+            bad = f"{sum(blamed[name][:2])} of {10 - good}"
+        lines.append(
+            (NAMED.get(name, name), str(good), bad, str(fresh_ones))
+        )
+    there_too = [int((backwards[begin] > BAR).sum()) for begin in BEGINS]
+    ways = str(sum(there_too[:2])), "", str(sum(there_too[2:]))
+    lines.insert(1, ("the same, right to left", *ways))
+    head = ["held:<br>of 10 arrive", "failures the<br>reward prefers"]
+    return table(["reward", *head, "fresh:<br>of 10 arrive"], lines)
+
+
+def preferred_actions(rewards):
+    """Return which rewards see actions, spots, and their favourites."""
+    AXIS = np.linspace(-1, 1, 9)
+    actions = np.stack(np.meshgrid(AXIS, AXIS), -1).reshape(-1, 2)
+    coarse = np.linspace(-0.03, 0.53, 8)
+    spots = np.stack(np.meshgrid(coarse, coarse), -1).reshape(-1, 2)
+    across, up = spots.T
+    barrier = (abs(up - 0.3) < 0.05) & (across > 0.1)
+    covered = np.linalg.norm(spots[:, None] - (START, GOAL), axis=2) < 0.06
+    spots = spots[~barrier & ~covered.any(1)]
+
+    def preferred(reward):
+        # The action with the highest reward at each spot, (S, N, 2).
+        obs = np.concatenate([spots, np.zeros((len(spots), 1))], 1)
+        obs = torch.tensor(obs, dtype=torch.float32)
+        obs = obs.expand(len(reward), -1, -1)
+        each = [
+            reward(
+                obs, torch.tensor(action).float().expand(*obs.shape[:2], 2)
+            )
+            for action in actions
+        ]
+        return actions[torch.stack(each).argmax(0).numpy()]
+
+    SEES = ("DAC", "PPO, r(s, a)")
+    asked = {name: preferred(rewards[name]) for name in SEES}
+    return SEES, spots, asked
+
+
+def rewards_in_the_new_maze(side, values, rewards, x, SEES, spots, asked):
+    """Draw four learned rewards, and the actions that they prefer."""
+    DRAWN = ("exact logit", "DAC", "PPO, r(s)", "PPO, r(s, a)")
+    with plots.style():
+        fig, axes = plt.subplots(2, 2, figsize=(6.6, 5.6))
+        half = (side[1] - side[0]) / 2  # a pixel lies around its place
+        extent = (side[0] - half, side[-1] + half) * 2
+        for ax, name in zip(axes.flat, DRAWN, strict=True):
+            value = values(rewards[name])[0].reshape(x.shape)
+            image = ax.imshow(
+                (value - value.min()) / np.ptp(value),
+                origin="lower",
+                extent=extent,
+                cmap="cividis",
+            )
+            plots.maze(ax, "Right")
+            ax.axis("off")
+            ax.set_title(NAMED.get(name, name))
+            if name in SEES:
+                looks = {"fc": "white", "ec": "black", "linewidth": 0.6}
+                looks |= {"headwidth": 4.5, "headlength": 4}
+                looks |= {"headaxislength": 4, "minlength": 0}
+                way = {"zorder": 4, "width": 0.012, "scale": 14}
+                ax.quiver(*spots.T, *asked[name][0].T, **looks, **way)
+        bar = fig.colorbar(image, ax=axes, shrink=0.6, ticks=[0, 1])
+        bar.ax.set_yticklabels(["lowest\nreward", "highest\nreward"])
+        plt.show()

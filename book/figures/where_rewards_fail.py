@@ -1,0 +1,253 @@
+"""The pictures and tables of chapter 10."""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.patches import Rectangle
+
+from drawing import diagram, table
+from offairl_lite.analysis import plots
+from offairl_lite.envs.models import GOAL, MARSH, WEST
+from offairl_lite.envs.tasks import MARSH_COST, in_marsh
+from offairl_lite.runs import records
+
+RECORDS = Path("records")
+
+EDGE = [patheffects.withStroke(linewidth=4, foreground="white")]
+
+
+FIRST, KNOWN = "marsh-{}-demo", "decides-marsh-demo"
+OURS = "off-policy AIRL, imitation"
+HOME, WESTERN = "new policy on AIRL's reward", "new policy, west"
+ROUTES = {
+    OURS: ("old", f"{KNOWN}/released-50/implementation-4"),
+    HOME: ("old", f"{KNOWN}/released-50/again"),
+    WESTERN: ("west", f"{KNOWN}/released-50/west"),
+    "DAC, imitation": ("old", FIRST.format("imitation") + "/dac"),
+    "new policy on DAC's reward": (
+        "west",
+        FIRST.format("transfer") + "/dac/west",
+    ),
+    "SAC on the true reward": (
+        "west",
+        FIRST.format("transfer") + "/true/true-west",
+    ),
+}
+
+
+def number(value, digits=1):
+    """Return a number as tables show it, with a true minus sign."""
+    return f"{value:.{digits}f}".replace("-", "−")
+
+
+def span(values, digits=1):
+    """Return the range of some numbers, or the one that they all are."""
+    low, high = (number(v, digits) for v in (min(values), max(values)))
+    joined = f"{low} to\u00a0{high}"
+    return low if low == high else joined
+
+
+PANELS = {
+    "released": "6,000 steps",
+    "released-16": "16,000 steps",
+    "released-50": "50,000 steps",
+}
+
+
+# Drawn in squares of 1 cm, whose sides are those of the marsh.
+FACES = (-0.08, 0.58)  # of the walls
+middles = np.arange(66) / 100 - 0.075
+
+
+SUSPECTS = {
+    "released, 6,000 steps": f"{KNOWN}/released",
+    "released, 16,000 steps": f"{KNOWN}/released-16",
+    "released, 50,000 steps": f"{KNOWN}/released-50",
+    "light penalty, 16,000 steps": f"{KNOWN}/light-16",
+    "exact logit, 16,000 steps": "marsh-imitation-long-demo",
+    "DAC, 6,000 steps": FIRST.format("imitation") + "/dac",
+    "PPO, all steps": "marsh-airl-memory-demo/all",
+    "PPO, last 2,000 steps": "marsh-airl-ppo-demo/state",
+}
+
+
+MOVES = {
+    "velocity, centred,\nfrom scratch": "velocity/scratch",
+    "velocity, centred,\nfrom the old policy": "velocity/policy",
+    "velocity, not centred,\nfrom scratch": "velocity-raw/scratch",
+    "whole state, centred,\nfrom scratch": "state/scratch",
+    "DAC's, centred,\nfrom scratch": "dac/scratch",
+    "true reward,\nfrom scratch": "true/scratch",
+}
+
+
+def _draw_marsh(ax, value, title):
+    scaled = ((value - value.min()) / np.ptp(value)).reshape(66, 66)
+    image = ax.imshow(
+        scaled, origin="lower", extent=FACES * 2, cmap="cividis"
+    )
+    looks = {"colors": "white", "linewidths": 0.6, "alpha": 0.6}
+    ax.contour(middles, middles, scaled, 12, **looks)
+    plots.maze(ax, None)
+    looks = {"facecolor": "none", "edgecolor": "white", "hatch": "//"}
+    low = np.maximum(MARSH[0], FACES[0])  # what the wall leaves of it
+    ax.add_patch(Rectangle(low, *(MARSH[1] - low), zorder=1.5, **looks))
+    ax.plot(*WEST, "s", color="white", markeredgecolor="black", zorder=5)
+    ax.axis("off")
+    ax.set_title(title)
+    return image
+
+
+def _draw_path(ax, path, color):
+    ax.plot(*path[:, :2].T, color=color, lw=2, path_effects=EDGE, zorder=4)
+
+
+def routes(marsh, last, expert, wet, arrived):
+    """Return the table of ways to the star."""
+    return table(
+        [
+            "policy",
+            "start",
+            "steps in<br>the marsh",
+            "arrive",
+            "median<br>return",
+        ],
+        [
+            (
+                "demonstrations",
+                "old",
+                "0.0",
+                f"{(last < 0.15).sum()} of 50",
+                number(np.median(expert.returns)),
+            ),
+            *(
+                (
+                    HOME if name == WESTERN else name,
+                    start,
+                    span(wet[name]),
+                    f"{arrived[name].sum()} of 5",
+                    number(np.median(marsh[name].returns[:, -1])),
+                )
+                for name, (start, _) in ROUTES.items()
+            ),
+        ],
+    )
+
+
+def maps(kept, values):
+    """Return true and learned rewards, each with the path to it."""
+    across = np.stack(
+        [*np.meshgrid(middles, middles), np.zeros((66, 66))], -1
+    )
+    flat = across.reshape(-1, 3)
+    true_map = -np.linalg.norm(flat[:, :2] - GOAL, axis=1)
+    true_map = true_map - MARSH_COST * in_marsh(flat)
+    known_route = kept["marsh"][
+        FIRST.format("transfer") + "/true/true-west"
+    ]
+    drawn = {"true reward": (true_map, known_route["path"])}
+    for name, title in PANELS.items():
+        folder = f"{KNOWN}/{name}"
+        reward = records.read(RECORDS / folder / "implementation-4").reward
+        route = kept["marsh"][f"{folder}/west"]["path"]
+        drawn[title] = values(reward, flat)[0], route
+    return drawn
+
+
+def marshes(drawn, paths):
+    """Draw true and learned rewards, and paths."""
+    with plots.style():
+        fig, axes = plt.subplots(2, 2, figsize=(6.4, 5.8))
+        panels = zip(axes.flat, drawn.items(), strict=True)
+        for ax, (title, (value, walk)) in panels:
+            image = _draw_marsh(ax, value, title)
+            for path in paths[:5, :25]:
+                _draw_path(ax, path, plots.GREEN)
+            _draw_path(ax, walk, plots.RED)
+        bar = fig.colorbar(image, ax=axes, shrink=0.7, ticks=[0, 1])
+        bar.ax.set_yticklabels(["lowest", "highest"])
+        plt.show()
+
+
+def hills_and_marshes(values, hill_and_marsh, explained, kept):
+    """Return slopes, depths, fits, wet steps and rows of the table."""
+    steep, sunk, fit = {}, {}, {}  # b and c, scaled, and what they explain
+    dry = {}  # steps in the marsh, of the imitators
+    unscaled = {}
+    rows = []
+    for name, folder in SUSPECTS.items():
+        if (RECORDS / folder / "implementation-4").exists():
+            folder = f"{folder}/implementation-4"
+        each = values(records.read(RECORDS / folder).reward)
+        _, b, c = np.array([hill_and_marsh(reward) for reward in each]).T
+        unscaled[name] = np.stack([b, c], 1)
+        steep[name], sunk[name] = b / each.std(1), c / each.std(1)
+        fit[name] = np.array([explained(reward) for reward in each])
+        dry[name] = kept["marsh"][folder]["wet"]
+        rows.append(
+            (
+                name,
+                span(steep[name]),
+                span(sunk[name], 2),
+                number(100 * np.median(fit[name]), 0),
+                span(dry[name]),
+            )
+        )
+    return steep, sunk, fit, dry, unscaled, rows
+
+
+def suspects(truth, rows):
+    """Return the table of slopes and depths."""
+    true_b, true_c = (number(k / truth.std(), 1) for k in (1, MARSH_COST))
+    rows.append(("true reward", true_b, true_c, "100", ""))
+    head = [
+        "learned by",
+        "hill<br>b",
+        "marsh<br>c",
+        "fit<br>in %",
+        "steps in<br>marsh",
+    ]
+    return table(head, rows)
+
+
+def what_each_sees():
+    """Draw what the networks of the ant see."""
+    diagram(
+        (7.2, 2.8),
+        {
+            "obs": (0.95, 1.4, "CustomAnt\n111 numbers", plots.GREEN),
+            "pi": (3.3, 2.4, "policy " + r"$\pi$", plots.BLUE),
+            "r": (3.4, 1.4, "reward " + r"$r_\psi$", plots.RED),
+            "v": (3.3, 0.4, "shaping " + r"$V_\omega$", plots.RED),
+            "sac": (6.1, 1.4, "new policy\non DisabledAnt", plots.BLUE),
+        },
+        [
+            ("obs", "pi", "all"),
+            ("obs", "r", "velocity"),
+            ("obs", "v", "all"),
+            ("r", "sac", "frozen"),
+        ],
+    )
+    plt.show()
+
+
+def ants(ends, of_experts):
+    """Draw the returns of ants with two weak legs."""
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(7.4, 4))
+        for i, (name, end) in enumerate(ends.items()):
+            color = plots.BLUE if "velocity" in name else plots.RED
+            color = plots.GREY if "true" in name else color
+            rows = i + np.linspace(-0.2, 0.2, len(end))
+            ax.plot(end, rows, "o", color=color, ms=9, mec="white")
+        ax.axvline(0, color="black", lw=0.8)
+        for value in of_experts:
+            ax.axvline(value, color="black", lw=1.2, ls="--")
+        ax.set_yticks(range(len(ends)), ends)
+        ax.set(
+            xlabel="true return on DisabledAnt",
+            ylim=(len(ends) - 0.5, -0.5),
+        )
+        plt.show()
