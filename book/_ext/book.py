@@ -19,6 +19,33 @@ UNWANTED = re.compile(
 )
 
 
+# On a dark page the browser asks a drawing for its dark form. Curves and
+# diagrams are drawn light on dark, with the hues that they have. A picture
+# of colours would lose its order, so it is dimmed, on white paper.
+DARK = "@media screen and (prefers-color-scheme: dark) {{ {} }}"
+INVERTED = (
+    "svg { filter: invert(0.91) hue-rotate(180deg) } "
+    "#patch_1 path { fill: none !important }"
+)
+DIMMED = "svg { filter: brightness(0.85) }"
+
+
+def for_dark_pages(drawing: str) -> str:
+    """Return an SVG with a style for dark pages."""
+    style = DARK.format(DIMMED if "<image" in drawing else INVERTED)
+    return re.sub(
+        r"(<svg\b[^>]*>)", rf"\1<style>{style}</style>", drawing, count=1
+    )
+
+
+def draw_for_dark_pages(app, exception):
+    """Give the figures that cells have drawn a form for dark pages."""
+    for path in Path(app.outdir, "_images").glob("*.svg"):
+        text = path.read_text(encoding="utf-8")
+        if "(prefers-color-scheme: dark)" not in text:
+            path.write_text(for_dark_pages(text), encoding="utf-8")
+
+
 def make_offline(app, exception):
     """Leave out what needs a server: pages are opened as files."""
     for page in Path(app.outdir).rglob("*.html"):
@@ -63,4 +90,5 @@ def setup(app):
     # Before the theme reads its options, which it does at this event.
     app.connect("config-inited", need_an_address, priority=100)
     app.connect("build-finished", make_offline)
+    app.connect("build-finished", draw_for_dark_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -15,11 +15,11 @@ from offairl_lite.envs.tasks import MARSH_COST, in_marsh
 from offairl_lite.runs import records
 
 RECORDS = Path(__file__).parents[1] / "records"
-RELEASED = "released, 6,000 steps"
-LONGER = "released, 16,000 steps"
-LONGEST = "released, 50,000 steps"
+RELEASED = "log-ratio loss, 6,000 steps"
+LONGER = "log-ratio loss, 16,000 steps"
+LONGEST = "log-ratio loss, 50,000 steps"
 LIGHT = "light penalty, 16,000 steps"
-LOGIT = "exact logit, 16,000 steps"
+LOGIT = "AIRL loss, 16,000 steps"
 OLD_DATA = "PPO, all steps"
 NEW_DATA = "PPO, last 2,000 steps"
 OURS = "off-policy AIRL, imitation"

@@ -196,7 +196,7 @@ def four_robots_a_row(GAINS, ROBOTS):
 def the_loss(GAINS, of_demonstrations):
     """No choice is worth more than the loss, on any robot, if the
     temperature is 0.2."""
-    loss = GAINS["the released loss,\nnot the exact logit"]
+    loss = GAINS["the log-ratio loss,\nnot the AIRL loss"]
     assert all(low > 0 for _, low, _ in loss.values())
     assert all(middle > 55 for middle, *_ in loss.values())
     assert loss["Hopper"][0] < 145
@@ -259,7 +259,7 @@ def a_fixed_temperature(GAINS):
 def the_exact_logit_at_1_2(GAINS, of_demonstrations):
     """At 1.2 the exact logit works on Hopper, not clearly on CustomAnt, and
     there in two seeds of five."""
-    gains = GAINS["with the exact logit a\ntemperature of 1.2, not 0.2"]
+    gains = GAINS["with the AIRL loss a\ntemperature of 1.2, not 0.2"]
     middle, low, _ = gains["Hopper"]
     assert middle > 130
     assert low > 110
@@ -273,7 +273,7 @@ def the_exact_logit_at_1_2(GAINS, of_demonstrations):
 def an_absorbing_state(GAINS):
     """An absorbing state is worth as much on Hopper as the loss."""
     middle, low, _ = GAINS["an absorbing state,\nnot none"]["Hopper"]
-    loss, *_ = GAINS["the released loss,\nnot the exact logit"]["Hopper"]
+    loss, *_ = GAINS["the log-ratio loss,\nnot the AIRL loss"]["Hopper"]
     assert low > 110
     assert middle > 130
     assert abs(middle - loss) < 15

@@ -118,7 +118,7 @@ def evidence(arrived, FOUND, recipe, step, larger):
         f"{gate_alone}, "
         "but there the temperature differs, too. "
         "With SAC {} instead of {}: perhaps luck.".format(*arrived(8)),
-        1: "So far, on CustomAnt with the exact logit, 4 is better "
+        1: "So far, on CustomAnt with the AIRL loss, 4 is better "
         "than 1 and "
         "2 and not clearly better than 3, but no ant walks.",
         2: f"So far, with the recipe and small networks and {step:,} "
@@ -201,7 +201,7 @@ def choices(ROBOTS, PAIRS):
     WARMER = "decides-1.2-demo"
     VELOCITY = "decides-transfer-demo/velocity/scratch"
     CHOICES = {
-        "the released loss,\nnot the exact logit": one_choice(
+        "the log-ratio loss,\nnot the AIRL loss": one_choice(
             KEPT, "exact-fixed-short"
         ),
         "the same choice at\na temperature of 1": one_choice(
@@ -216,7 +216,7 @@ def choices(ROBOTS, PAIRS):
         "a temperature of 0.2,\nnot 1": one_choice(
             KEPT, "released-one-short"
         ),
-        "with the exact logit a\ntemperature of 1.2, not 0.2": {
+        "with the AIRL loss a\ntemperature of 1.2, not 0.2": {
             robot: (f"{WARMER}/{run}", f"what-decides-demo/{run}")
             for robot in ROBOTS
             for run in [f"{robot}-exact-fixed-short"]

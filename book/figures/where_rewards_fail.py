@@ -62,11 +62,11 @@ middles = np.arange(66) / 100 - 0.075
 
 
 SUSPECTS = {
-    "released, 6,000 steps": f"{KNOWN}/released",
-    "released, 16,000 steps": f"{KNOWN}/released-16",
-    "released, 50,000 steps": f"{KNOWN}/released-50",
+    "log-ratio loss, 6,000 steps": f"{KNOWN}/released",
+    "log-ratio loss, 16,000 steps": f"{KNOWN}/released-16",
+    "log-ratio loss, 50,000 steps": f"{KNOWN}/released-50",
     "light penalty, 16,000 steps": f"{KNOWN}/light-16",
-    "exact logit, 16,000 steps": "marsh-imitation-long-demo",
+    "AIRL loss, 16,000 steps": "marsh-imitation-long-demo",
     "DAC, 6,000 steps": FIRST.format("imitation") + "/dac",
     "PPO, all steps": "marsh-airl-memory-demo/all",
     "PPO, last 2,000 steps": "marsh-airl-ppo-demo/state",

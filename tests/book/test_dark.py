@@ -1,0 +1,27 @@
+"""Figures on dark pages: curves are drawn light on dark, maps keep their colours."""
+
+import importlib.util
+from pathlib import Path
+from types import SimpleNamespace
+
+PATH = Path(__file__).parents[2] / "book/_ext/book.py"
+spec = importlib.util.spec_from_file_location("book_extension", PATH)
+extension = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(extension)
+
+
+def test_figures_get_a_dark_form_once(tmp_path):
+    images = tmp_path / "_images"
+    images.mkdir()
+    head = '<?xml version="1.0"?>\n<svg width="9pt">'
+    (images / "curve.svg").write_text(f"{head}<path/></svg>")
+    (images / "map.svg").write_text(f"{head}<image/></svg>")
+    app = SimpleNamespace(outdir=tmp_path)
+    for _ in range(2):
+        extension.draw_for_dark_pages(app, None)
+    curve, maze = ((images / f"{name}.svg").read_text() for name in ("curve", "map"))
+    assert curve.startswith(f"{head}<style>")
+    assert curve.count("<style>") == maze.count("<style>") == 1
+    assert "invert" in curve
+    assert "invert" not in maze
+    assert "brightness" in maze
