@@ -134,7 +134,7 @@ class StackedMLP:
         gradient = weight.transpose(1, 2)
         for (_, w), h in zip(reversed(hidden), reversed(outputs), strict=True):
             gradient = (gradient * self._slope(h)) @ w.transpose(1, 2)
-        return value, gradient
+        return value, gradient if hidden else gradient.expand(-1, x.shape[1], -1)
 
     def _activate(self, x: Tensor) -> Tensor:
         # tanh, as a sigmoid: PyTorch's tanh takes three times as long as that on a CPU.
