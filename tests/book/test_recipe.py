@@ -639,3 +639,14 @@ def test_what_transfers():
     assert 0 < difference(warm, kept)[1] < 10
     marsh = records.read(RECORDS / "decides-marsh-demo/released-50/west").returns[:, -1]
     assert (marsh > -16).sum() == 1
+
+
+def test_which_policy_to_take_is_what_the_record_says():
+    text = (ROOT / "book/recipe_working.md").read_text()
+    for robot, worth in rollouts.read("which_policy").items():
+        name = robot.removesuffix("-airl")
+        row = next(line for line in text.splitlines() if line.startswith(f"| {name} |"))
+        rules = ("the last", "the mean of the weights", "the learned return", "the length")
+        shown = [int(cell.replace(",", "")) for cell in row.split("|")[2:6]]
+        assert shown == [round(float(worth[rule].mean())) for rule in rules]
+        assert worth["the mean of the weights"].mean() > worth["the last"].mean()
