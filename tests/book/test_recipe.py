@@ -155,7 +155,36 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "book"))
     import benchmark_runs
 
-    assert benchmark_runs.short(benchmark_runs.read()) in (ROOT / "README.md").read_text()
+    cells, text = benchmark_runs.read(), " ".join((ROOT / "README.md").read_text().split())
+    assert benchmark_runs.short(cells) in (ROOT / "README.md").read_text()
+    robots = ("Hopper", "HalfCheetah")
+    compared = benchmark_runs.clear(cells, "4", "airl", "clone", robots)
+    assert compared == (["Hopper"], ["HalfCheetah"])
+    assert "far ahead of cloning on Hopper and far behind it on HalfCheetah" in text
+
+
+def test_what_to_use_when_says_what_is_known(monkeypatch):
+    """With some of the cells, all, or none."""
+    monkeypatch.syspath_prepend(str(ROOT / "book"))
+    import benchmark_runs as bench
+
+    def cell(mean):
+        return bench.Cell(mean + np.arange(5.0), 100_000, 1.0)
+
+    assert [text[:19] for text in bench.advice({})] == ["**Not known yet:** "]
+    some = {("4", "Hopper", "airl"): cell(80.0), ("4", "Hopper", "clone"): cell(50.0)}
+    so_far, waiting = bench.advice(some)
+    assert "clearly ahead of cloning on Hopper, and clearly behind on no robot." in so_far
+    assert "with fifty recordings, with four and without recorded actions" in waiting
+    table = bench.block_table(some, "4")
+    assert table.count("–") == 8
+    assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
+    full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
+    many, few, no_actions = bench.advice(full)
+    assert "clone them.** " in many
+    assert "Four recordings: cloning.** " in few
+    assert "without recorded actions" not in no_actions
+    assert "Not run yet" not in bench.block_table(full, "4")
 
 
 @pytest.mark.parametrize(
