@@ -224,7 +224,11 @@ def average(cells: Cells, block: str, method: str) -> float | None:
 
 
 def clear(
-    cells: Cells, block: str, one: str, other: str
+    cells: Cells,
+    block: str,
+    one: str,
+    other: str,
+    robots: Iterable[str] = ROBOTS,
 ) -> tuple[list[str], list[str]]:
     """Return on which robots one method is clearly ahead, and behind.
 
@@ -232,7 +236,7 @@ def clear(
     interquartile means excludes 0.
     """
     ahead, behind = [], []
-    for robot in ROBOTS:
+    for robot in robots:
         pair = [cells[block, robot, method].ends for method in (one, other)]
         _, low, high = difference(*pair)
         if low > 0:
@@ -245,23 +249,24 @@ def clear(
 def separated(cells: Cells) -> list[str]:
     """Say where state-only DAC differs clearly from DAC and the recipe.
 
-    DAC sees the action as well, the recipe has AIRL's form as well.
+    DAC sees the action as well, the recipe has AIRL's form as well. A
+    comparison without its runs is left out.
     """
     sentences = []
     for other, what in (("dac", "action"), ("airl", "form")):
         name = f"**The {what}**, by {METHODS[other]} against state-only DAC"
         parts = []
         for block in COUNTS:
-            if _missing(cells, block, (other, "state-dac")):
+            if not _complete(cells, block, (other, "state-dac")):
                 continue
             ahead, behind = clear(cells, block, other, "state-dac")
             parts.append(
                 f"with {BLOCKS[block].lower()} clearly ahead on "
                 f"{_names(ahead)} and behind on {_names(behind)}"
             )
-        known = "; ".join(parts) or "not known yet"
-        sentences.append(f"{name}: {known}.")
-    return sentences
+        if parts:
+            sentences.append(f"{name}: {'; '.join(parts)}.")
+    return sentences or ["Not known yet: not all of these runs are there."]
 
 
 def noise(robots: Iterable[str] = ROBOTS) -> HTML:
@@ -284,7 +289,7 @@ def noise(robots: Iterable[str] = ROBOTS) -> HTML:
 
 
 def costs(cells: Cells) -> HTML:
-    """Return what the cells of each method have cost so far."""
+    """Return what the cells of each method that has any have cost."""
     rows = []
     for method, name in METHODS.items():
         own = [
@@ -292,12 +297,11 @@ def costs(cells: Cells) -> HTML:
             for (block, _, m), cell in cells.items()
             if m == method and block in COUNTS
         ]
+        if not own:
+            continue
         minutes = [60 * cell.hours for cell in own]
-        if own:
-            spread = f"{min(minutes):.0f} to {max(minutes):.0f}"
-            row = (f"{own[0].steps:,}", spread, f"{sum(minutes) / 60:.1f}")
-        else:
-            row = ("–", "–", "–")
+        spread = f"{min(minutes):.0f} to {max(minutes):.0f}"
+        row = (f"{own[0].steps:,}", spread, f"{sum(minutes) / 60:.1f}")
         rows.append((name, str(len(own)), *row))
     heads = (
         "method",
@@ -313,32 +317,62 @@ def costs(cells: Cells) -> HTML:
 
 
 def advice(cells: Cells) -> list[str]:
-    """Return three sentences: many demonstrations, few, no actions."""
-    return [_many(cells), _few(cells), _no_actions(cells)]
+    """Return what to use: with many demonstrations, few, and no actions.
+
+    While cells are missing, a sentence says what they show so far, if
+    anything, and the last one which questions are open.
+    """
+    answers = {
+        "with fifty recordings": _many(cells),
+        "with four": _few(cells),
+        "without recorded actions": _no_actions(cells),
+    }
+    sentences = [text for text, _ in answers.values() if text]
+    waiting = [name for name, (_, known) in answers.items() if not known]
+    if waiting:
+        sentences.append(
+            f"**Not known yet:** what is best {_listed(waiting)}; not all "
+            "of the cells that would tell are there."
+        )
+    return sentences
 
 
-def _missing(cells: Cells, block: str, methods: Iterable[str]) -> str:
-    """Return what to say while cells of these methods are missing."""
-    keys = {(block, r, m) for m in methods for r in PLAN[block][m]}
-    there = len(keys & set(cells))
-    if there == len(keys):
-        return ""
-    return f"not known yet ({there} of {len(keys)} cells are there)."
+def _complete(cells: Cells, block: str, methods: Iterable[str]) -> bool:
+    """Return whether these methods have all their cells."""
+    return {(block, r, m) for m in methods for r in PLAN[block][m]} <= set(
+        cells
+    )
 
 
 def _names(robots: Sequence[str]) -> str:
     """Return robots as a list in words."""
-    if len(robots) < 2:
-        return robots[0] if robots else "no robot"
     if len(robots) == len(ROBOTS):
         return "all five robots"
-    return f"{', '.join(robots[:-1])} and {robots[-1]}"
+    return _listed(robots) or "no robot"
 
 
-def _many(cells: Cells) -> str:
-    begin = "**Fifty recordings with their actions:"
-    if wait := _missing(cells, "50", ("clone", "airl", "dac")):
-        return f"{begin}** {wait}"
+def _listed(texts: Sequence[str]) -> str:
+    """Return texts as a list in words."""
+    *first, last = texts or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _many(cells: Cells) -> tuple[str, bool]:
+    """Return the sentence, and whether it answers the question."""
+    begin = "**Fifty recordings with their actions"
+    if not _complete(cells, "50", ("clone", "airl", "dac")):
+        parts = [
+            f"{summary(cells['50', robot, 'clone'].ends).mean:.0f} % on "
+            f"{robot}"
+            for robot in ROBOTS
+            if ("50", robot, "clone") in cells
+        ]
+        if not parts:
+            return "", False
+        return (
+            f"{begin}, so far:** clones come to {_listed(parts)}, without "
+            "a step of the task."
+        ), False
     behind = {
         robot
         for other in ("airl", "dac")
@@ -350,24 +384,39 @@ def _many(cells: Cells) -> str:
     )
     what = "clone them" if len(behind) < 2 else "cloning is not enough"
     return (
-        f"{begin} {what}.** On average over the robots cloning comes to "
+        f"{begin}: {what}.** On average over the robots cloning comes to "
         f"{clone:.0f} % without a step of the task, the recipe to "
         f"{airl:.0f} % and DAC to {dac:.0f} %; cloning is clearly behind "
         f"one of the two on {worse}."
-    )
+    ), True
 
 
-def _few(cells: Cells) -> str:
-    begin = "**Four recordings:"
+def _few(cells: Cells) -> tuple[str, bool]:
+    """Return the sentence, and whether it answers the question."""
+    begin = "**Four recordings"
     methods = tuple(PLAN["4"])
-    if wait := _missing(cells, "4", methods):
-        return f"{begin}** {wait}"
+    if not _complete(cells, "4", methods):
+        both = [
+            robot
+            for robot in ROBOTS
+            if {("4", robot, m) for m in ("airl", "clone")} <= set(cells)
+        ]
+        if not both:
+            return "", False
+        ahead, behind = clear(cells, "4", "airl", "clone", both)
+        text = (
+            f"{begin}, so far:** the recipe is clearly ahead of cloning on "
+            f"{_names(ahead)}, and clearly behind on {_names(behind)}"
+        )
+        if level := [r for r in both if r not in (*ahead, *behind)]:
+            text += f"; on {_names(level)} the difference is not clear"
+        return f"{text}.", False
     averages = {method: average(cells, "4", method) for method in methods}
     best, second, *_ = sorted(averages, key=averages.get, reverse=True)
     other = second if best == "clone" else "clone"
     ahead, behind = clear(cells, "4", best, other)
     text = (
-        f"{begin} {METHODS[best]}.** On average over the robots it comes "
+        f"{begin}: {METHODS[best]}.** On average over the robots it comes "
         f"to {averages[best]:.0f} %, and {METHODS[second]}, the next, to "
         f"{averages[second]:.0f} %"
     )
@@ -376,13 +425,13 @@ def _few(cells: Cells) -> str:
     return (
         f"{text}; it is clearly ahead of {METHODS[other]} on "
         f"{_names(ahead)}, and clearly behind on {_names(behind)}."
-    )
+    ), True
 
 
-def _no_actions(cells: Cells) -> str:
-    begin = "**No actions, or a reward to use again:"
-    if wait := _missing(cells, "4", ("airl", "state-dac")):
-        return f"{begin}** {wait}"
+def _no_actions(cells: Cells) -> tuple[str, bool]:
+    """Return the sentence, and whether it answers the question."""
+    if not _complete(cells, "4", ("airl", "state-dac")):
+        return "", False
     recipe, states = (
         average(cells, "4", method) for method in ("airl", "state-dac")
     )
@@ -391,12 +440,13 @@ def _no_actions(cells: Cells) -> str:
     if len(behind) > len(ahead):
         what = "state-only DAC for the first, the recipe for the second"
     return (
-        f"{begin} {what}.** Neither method looks at demonstrated actions, "
+        f"**No actions, or a reward to use again: {what}.** Neither method "
+        "looks at demonstrated actions, "
         "and only the recipe leaves a reward; with four recordings it "
         f"comes to {recipe:.0f} % on average, and state-only DAC to "
         f"{states:.0f} %; the recipe is clearly ahead on {_names(ahead)}, "
         f"and clearly behind on {_names(behind)}."
-    )
+    ), True
 
 
 def short(cells: Cells) -> str:
@@ -503,7 +553,8 @@ def block_table(cells: Cells, block: str) -> str:
     """Return the table of one number of demonstrations, as HTML.
 
     A method has two rows, so that five robots fit on a telephone: what it
-    costs, with the command, and its numbers.
+    costs, with the command, and its numbers. Methods without a number are
+    in the last row, with their commands folded.
     """
     robots = [
         r for r in ROBOTS if any(r in x for x in PLAN[block].values())
@@ -515,19 +566,35 @@ def block_table(cells: Cells, block: str) -> str:
         or any((block, robot, method) in cells for robot in robots)
     ]
     width = len(robots)
-    lines = [_title(BLOCKS[block], width, "th"), _row(_heads(robots), "th")]
+    lines, waiting = [], {}
     for method in methods:
         row = [cells.get((block, robot, method)) for robot in robots]
         there = [cell for cell in row if cell]
-        cost = ""
-        if there:
-            hours = float(np.mean([cell.hours for cell in there]))
-            cost = f"{there[0].steps:,} steps, {duration(hours)}, "
         how = "<br>".join(map(_code, commands(block, method)))
+        if not there:
+            waiting[METHODS[method]] = how
+            continue
+        hours = float(np.mean([cell.hours for cell in there]))
+        cost = f"{there[0].steps:,} steps, {duration(hours)}, "
         about = f"<b>{METHODS[method]}</b><br>{_small(cost + how)}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
-    return f'<table class="table">{"".join(lines)}</table>'
+    if lines:
+        lines.insert(0, _row(_heads(robots), "th"))
+    if waiting:
+        lines.append(_title(_not_run(waiting), width))
+    title = _title(BLOCKS[block], width, "th")
+    return f'<table class="table">{title}{"".join(lines)}</table>'
+
+
+def _not_run(waiting: Mapping[str, str]) -> str:
+    """Return the names of methods, and their commands, which unfold."""
+    commands = "".join(
+        f"<p><b>{name}</b><br>{_small(how)}</p>"
+        for name, how in waiting.items()
+    )
+    names = f"Not run yet: {', '.join(waiting)} (commands)."
+    return f"<details><summary>{names}</summary>{commands}</details>"
 
 
 def show(cells: Cells, *blocks: str) -> HTML:
@@ -580,6 +647,7 @@ def draw(cells: Cells) -> Figure:
             [], [], color=color, marker=marker, label=METHODS[m], **style
         )
         for m, (color, marker) in LOOKS.items()
+        if any(key[0] in COUNTS and key[2] == m for key in cells)
     ]
     marks.append(
         Line2D(

@@ -1,6 +1,7 @@
 """Draw the recipe's picture: each robot as its imitator moves it.
 
-The policies are those recorded after 500,000 steps of the recipe.
+The policies are those recorded after 500,000 steps of the recipe, and the
+percentages are of what the expert returns without noise.
 
 .venv/bin/python book/_static/robots.py
 """
@@ -37,8 +38,8 @@ with plots.style():
             ax.imshow(picture)
             ax.set_axis_off()
         noted = demonstrations.EXPERTS / f"{robot}.json"
-        demonstrated = records.read_json(noted)["demonstrated"][0]
-        share = 100 * end[median] / demonstrated
+        without_noise = records.read_json(noted)["returns"][0]
+        share = 100 * end[median] / without_noise
         column[0].set_title(f"{robot}: {share:.0f} %")
     fig.get_layout_engine().set(wspace=0.01, hspace=0.01, w_pad=0, h_pad=0)
     fig.savefig(BOOK / "_static/robots.png", dpi=110)

@@ -1,6 +1,7 @@
 """What the note on the benchmark says, of whatever is recorded so far."""
 
 import csv
+import re
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from benchmark_runs import (
     summary,
 )
 from checks import recorded
+from offairl_lite.analysis.statistics import difference
 from offairl_lite.config import differences
 from offairl_lite.experiments import configure
 from offairl_lite.runs.records import RunSpec, read, run_folders
@@ -172,16 +174,19 @@ def every_name_is_known(cells):
 @recorded
 def advice_is_of_the_cells(cells, ADVICE):
     """What to use when says the average over the robots of each method that
-    it compares, and nothing where a cell is missing."""
-    needs = (
-        ("50", ("clone", "airl", "dac")),
-        ("4", tuple(METHODS)),
-        ("4", ("airl", "state-dac")),
-    )
-    for sentence, (block, methods) in zip(ADVICE, needs, strict=True):
+    it compares, and that it is not known yet where a cell is missing."""
+    questions = {
+        "with fifty recordings": ("50", ("clone", "airl", "dac")),
+        "with four": ("4", tuple(METHODS)),
+        "without recorded actions": ("4", ("airl", "state-dac")),
+    }
+    said = " ".join(ADVICE)
+    _, _, waiting = said.partition("**Not known yet:**")
+    for question, (block, methods) in questions.items():
         keys = [(block, r, m) for m in methods for r in ROBOTS]
-        if not all(key in cells for key in keys):
-            assert "not known yet" in sentence
+        known = all(key in cells for key in keys)
+        assert known != (question in waiting)
+        if not known:
             continue
         averages = {}
         for method in methods:
@@ -193,10 +198,30 @@ def advice_is_of_the_cells(cells, ADVICE):
             averages[method] = np.mean(means)
         if len(methods) == len(METHODS):
             best = max(averages, key=averages.get)
-            assert f"recordings: {METHODS[best]}.**" in sentence
-            assert f"it comes to {averages[best]:.0f} %" in sentence
+            assert f"recordings: {METHODS[best]}.**" in said
+            assert f"it comes to {averages[best]:.0f} %" in said
         else:
-            assert all(f"{x:.0f} %" in sentence for x in averages.values())
+            assert all(f"{x:.0f} %" in said for x in averages.values())
+
+
+@recorded
+def four_recordings_so_far(cells, ADVICE):
+    """Until all cells of four recordings are there, what to use when says
+    of each robot with both cells whether the recipe is ahead of cloning."""
+    (text,) = [x for x in ADVICE if x.startswith("**Four recordings")]
+    if "so far" not in text:
+        return
+    first, _, level = text.partition("; ")
+    ahead, _, behind = first.partition("clearly behind")
+    for robot in ROBOTS:
+        keys = [("4", robot, method) for method in ("airl", "clone")]
+        name = rf"\b{robot}\b|all five robots"
+        if not all(key in cells for key in keys):
+            assert not re.search(name, text)
+            continue
+        _, low, high = difference(*(cells[key].ends for key in keys))
+        place = ahead if low > 0 else behind if high < 0 else level
+        assert re.search(name, place)
 
 
 @recorded

@@ -43,6 +43,7 @@ COMMANDS = {
     "verify": cli.verify,
 }
 SETTINGS = {*flat_settings(), "learner", "ablation"}
+PARTS = {"achieved_goal": 3, "desired_goal": 3, "observation": 10}
 GIVEN = {field.name for field in fields(launch.RunInputs)}
 
 
@@ -149,7 +150,7 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
         for robot in ("Hopper", "HalfCheetah")
     ]
     (clone, recipe), (cheetah, other) = pairs
-    assert f"took Hopper's clones to {clone} % and this command to {recipe} %" in text
+    assert f"took Hopper's clones to {clone} % and the recipe's policies to {recipe} %" in text
     assert f"on HalfCheetah it was {cheetah} % against {other} %" in text
 
 
@@ -157,7 +158,36 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "book"))
     import benchmark_runs
 
-    assert benchmark_runs.short(benchmark_runs.read()) in (ROOT / "README.md").read_text()
+    cells, text = benchmark_runs.read(), " ".join((ROOT / "README.md").read_text().split())
+    assert benchmark_runs.short(cells) in (ROOT / "README.md").read_text()
+    robots = ("Hopper", "HalfCheetah")
+    compared = benchmark_runs.clear(cells, "4", "airl", "clone", robots)
+    assert compared == (["Hopper"], ["HalfCheetah"])
+    assert "far ahead of cloning on Hopper and far behind it on HalfCheetah" in text
+
+
+def test_what_to_use_when_says_what_is_known(monkeypatch):
+    """With some of the cells, all, or none."""
+    monkeypatch.syspath_prepend(str(ROOT / "book"))
+    import benchmark_runs as bench
+
+    def cell(mean):
+        return bench.Cell(mean + np.arange(5.0), 100_000, 1.0)
+
+    assert [text[:19] for text in bench.advice({})] == ["**Not known yet:** "]
+    some = {("4", "Hopper", "airl"): cell(80.0), ("4", "Hopper", "clone"): cell(50.0)}
+    so_far, waiting = bench.advice(some)
+    assert "clearly ahead of cloning on Hopper, and clearly behind on no robot." in so_far
+    assert "with fifty recordings, with four and without recorded actions" in waiting
+    table = bench.block_table(some, "4")
+    assert table.count("–") == 8
+    assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
+    full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
+    many, few, no_actions = bench.advice(full)
+    assert "clone them.** " in many
+    assert "Four recordings: cloning.** " in few
+    assert "without recorded actions" not in no_actions
+    assert "Not run yet" not in bench.block_table(full, "4")
 
 
 @pytest.mark.parametrize(
@@ -207,8 +237,7 @@ def test_recordings_become_a_data_set(tmp_path, monkeypatch):
     for i in range(20):
         obs, action = np.tile([-1.0, 0, 0], (6, 1)), np.zeros((5, 1))
         np.savez(f"episode-{i}.npz", obs=obs, action=action, terminated=i == 0)
-    (block,) = [block for block in blocks("python") if "Recording(" in block]
-    exec(block.replace("my_robot:Arm-v0", "Pendulum-v1"), {})
+    exec(block("episode-{i}.npz"), {})
     data = demonstrations.load("Pendulum-v1", 20, "own/recorded-v0")
     assert data.lengths == (5,) * 20
     assert data.transitions.terminated.sum() == 1
@@ -296,19 +325,52 @@ def test_flat_arrays_demonstrate(minari_folder, tmp_path, monkeypatch):
     starts = np.arange(20) % 10 == 0
     obs, actions = np.tile([-1.0, 0, 0], (20, 1)), np.zeros((20, 1))
     np.savez("expert_arm.npz", obs=obs, actions=actions, episode_starts=starts)
-    exec(block("from_flat"), {})
+    exec(block("expert_arm.npz"), {})
     assert demonstrations.load("Pendulum-v1", 2, "own/flat-v0").lengths == (9, 9)
 
 
-def test_discrete_actions_and_dictionaries():
+def test_discrete_actions():
     try:
         exec(block("OneHotActions"), names := {})
         assert names["recorded"].shape == (4, 2)
         assert gymnasium.make("BoxCartPole-v0").action_space.shape == (2,)
+        assert gymnasium.make("BoxCartPole-v0", render_mode="rgb_array").render_mode == "rgb_array"
     finally:
         gymnasium.registry.pop("BoxCartPole-v0", None)
-    exec(block("achieved_goal"), names := {})
-    assert names["obs"].shape == (6, 9)
+
+
+def test_parts_of_a_dictionary_are_joined_as_the_task_joins_them():
+    class Reach(gymnasium.Env):
+        observation_space = gymnasium.spaces.Dict(
+            {name: gymnasium.spaces.Box(-1, 1, (size,)) for name, size in PARTS.items()}
+        )
+        action_space = gymnasium.spaces.Box(-1, 1, (4,))
+
+    try:
+        gymnasium.register("Reach-v0", Reach)
+        exec(block("FlatReach"), names := {})
+        space = names["reach"]().observation_space
+        exec(block("achieved_goal"), names := {})
+    finally:
+        for name in ("Reach-v0", "FlatReach-v0"):
+            gymnasium.registry.pop(name, None)
+    parts = {name: np.full(size, i) for i, (name, size) in enumerate(PARTS.items())}
+    assert [*Reach.observation_space] == [*names["parts"]]
+    joined = gymnasium.spaces.flatten(Reach.observation_space, parts)
+    assert joined.tolist() == np.repeat(range(3), [3, 3, 10]).tolist()
+    assert space.shape == names["recordings"][0].obs.shape[1:] == (16,)
+    assert len(names["recordings"]) == 20
+
+
+def test_trajectories_of_imitation_become_recordings():
+    exec(block("from_imitation"), names := {"demonstrations": demonstrations})
+    whole, cut = (
+        SimpleNamespace(obs=np.zeros((n + 1, 3)), acts=np.zeros((n, 1)), terminal=True)
+        for n in (7, 50)
+    )
+    found = names["from_imitation"]([whole, cut], 50)
+    assert [r.terminated for r in found] == [True, False]
+    assert [len(r.obs) for r in found] == [8, 51]
 
 
 def test_the_class_does_all_of_it(tmp_path, monkeypatch, capsys):
@@ -317,7 +379,7 @@ def test_the_class_does_all_of_it(tmp_path, monkeypatch, capsys):
 
     monkeypatch.chdir(tmp_path)
     small = "hidden=(8,), reward_hidden=(8,), eval_episodes=1, trajectories=2, learning_starts=200"
-    code = block("AIRL").replace("100_000", "400").replace("50_000", "200")
+    code = block("def push").replace("100_000", "400").replace("50_000", "200")
     code = code.replace("seeds=3", f"seeds=1, train_every=200, {small}")
     exec(code, names := {})
     assert names["action"].shape == (1,)
@@ -366,11 +428,14 @@ def test_the_diagnostics_can_be_read(capsys):
     assert capsys.readouterr().out.count("\n") >= len(records.read(run).seeds) + 1
 
 
-def test_the_policy_acts(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    (block,) = [block for block in blocks("python") if "action(policy" in block]
-    block = block.replace("my_robot:Arm-v0", "offairl/PointMazeLeft-v0")
-    exec(block.replace("runs/arm", "book/records/maze-imitation-demo"), known := {})
+def test_the_policy_acts(tmp_path, monkeypatch):
+    from offairl_lite import AIRL
+
+    monkeypatch.chdir(tmp_path)
+    task, small = "offairl/PointMazeLeft-v0", {"hidden": (8,), "eval_episodes": 1}
+    AIRL(task, seeds=1, train_every=100, learning_starts=100, folder="runs/arm", **small).learn(200)
+    code = block("model.predict(obs, seed=0)").replace("Pendulum-v1", task)
+    exec(code, known := {})
     assert known["env"].observation_space.contains(known["obs"])
 
 
@@ -642,11 +707,14 @@ def test_what_transfers():
 
 
 def test_which_policy_to_take_is_what_the_record_says():
+    import rollouts
+
     text = (ROOT / "book/recipe_working.md").read_text()
     for robot, worth in rollouts.read("which_policy").items():
         name = robot.removesuffix("-airl")
-        row = next(line for line in text.splitlines() if line.startswith(f"| {name} |"))
+        row = next(line for line in text.splitlines() if line.startswith(f"| on {name} |"))
         rules = ("the last", "the mean of the weights", "the learned return", "the length")
-        shown = [int(cell.replace(",", "")) for cell in row.split("|")[2:6]]
+        rules = (*rules, "the true return")
+        shown = [int(cell.replace(",", "")) for cell in row.split("|")[2:7]]
         assert shown == [round(float(worth[rule].mean())) for rule in rules]
         assert worth["the mean of the weights"].mean() > worth["the last"].mean()
