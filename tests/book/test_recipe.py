@@ -439,6 +439,20 @@ def test_the_policy_acts(tmp_path, monkeypatch):
     assert known["env"].observation_space.contains(known["obs"])
 
 
+def test_the_reward_is_used_again_in_python(tmp_path, monkeypatch):
+    from offairl_lite import AIRL
+
+    monkeypatch.chdir(tmp_path)
+    small = {"hidden": (8,), "reward_hidden": (8,), "eval_episodes": 1, "train_every": 100}
+    first = AIRL("offairl/PointMazeLeft-v0", folder="runs/arm", learning_starts=100, **small)
+    reward = first.learn(200, progress=False).reward(np.zeros((1, 3)))
+    code = block("frozen_reward=").replace("my_robot:HeavyArm-v0", "offairl/PointMazeRight-v0")
+    code = code.replace("seeds=3", "seeds=3, learning_starts=100, train_every=100")
+    exec(code.replace("100_000", "200"), names := {})
+    assert names["model"].run.steps.max() == 200
+    assert names["model"].reward(np.zeros((1, 3))) == pytest.approx(reward)
+
+
 def test_weights_and_biases_gets_every_number(monkeypatch):
     logged, projects = [], []
     fake = SimpleNamespace(
@@ -592,6 +606,12 @@ def test_the_percentages_are_those_of_the_records():
         assert tuple(map(len, ends)) == counts.get(robot, (10, 5, 10, 5))
         cells = [f"{np.median(end):.0f} ({end.min():.0f}–{end.max():.0f})" for end in ends]
         assert f"| {robot} | {' | '.join(cells)} |" in PAGE
+    best = [
+        records.read_json(demonstrations.EXPERTS / f"{r}.json")["returns"]
+        for r in ("Hopper", "HalfCheetah")
+    ]
+    (there, here), (runs, ran) = ([f"{x:,.0f}" for x in (max(each), each[0])] for each in best)
+    assert f"Hopper's returns {there} there and {here} here, HalfCheetah's {runs} and {ran}" in PAGE
     cheetah = records.read(RECORDS / "locomotion-long-demo/HalfCheetah-airl")
     late = 100 * cheetah.returns[:, -1] / expert("HalfCheetah")
     assert cheetah.steps[-1] == 1_000_000
