@@ -363,7 +363,7 @@ def test_parts_of_a_dictionary_are_joined_as_the_task_joins_them():
 
 
 def test_trajectories_of_imitation_become_recordings():
-    exec(block("from_imitation"), names := {"demonstrations": demonstrations})
+    exec(block("from_imitation"), names := {})
     whole, cut = (
         SimpleNamespace(obs=np.zeros((n + 1, 3)), acts=np.zeros((n, 1)), terminal=True)
         for n in (7, 50)
