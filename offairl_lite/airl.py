@@ -218,7 +218,7 @@ class AIRL:
         self.run_inputs, self.inherited = RunInputs(), {}
         self._place(folder)
         checkpoints.copy(Path(path), self.folder)
-        self.demonstrations = inputs.demonstrations_of(self.folder, spec)
+        self.demonstrations = None  # Whoever only acts, or asks for rewards, needs none.
         return self
 
 
