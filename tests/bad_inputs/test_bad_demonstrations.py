@@ -180,7 +180,6 @@ def test_nothing_is_written_of(refused, arm, given, words):
         ({"trajectories": "3"}, f"trajectories is '3'; {WHOLE} of at least 1"),
         ({"trajectories": 1.0}, f"trajectories is 1.0; {WHOLE} of at least 1"),
         ({"trajectories": True}, f"trajectories is True; {WHOLE} of at least 1"),
-        ({"trajectories": None}, f"trajectories is None; {WHOLE} of at least 1"),
         ({"trajectories": 3}, "own/good-v0: 3 trajectories were asked for; it has 2"),
         ({"subsample": 0}, f"subsample is 0; {WHOLE} of at least 1"),
         ({"subsample": 2.5}, f"subsample is 2.5; {WHOLE} of at least 1"),
