@@ -335,7 +335,7 @@ def test_the_shaping_changes_no_policy_of_the_first_maze(compute):
 
 @pytest.mark.parametrize("who", ["A", "B"])
 def test_the_corridor_is_that_of_chapter_2(compute, who):
-    ids = "2b726df3", "1c4374cd", "8d6e1d18-helpers", "4816d6ec", "091c50b3"
+    ids = "2b726df3", "1c4374cd", "8d6e1d18-helpers", "8d6e1d18-distance", "4816d6ec", "091c50b3"
     chapter = cells("02_gail_and_dac.ipynb", *ids)
     ends = compute(f"""const {{REWARDS, EXPERTS, round, gone, occupancy}} = toys.corridor;
       return Object.values(REWARDS).map(({{of}}) => {{
