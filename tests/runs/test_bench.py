@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from itertools import count, pairwise
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -178,3 +179,28 @@ def test_a_run_is_estimated_from_a_block_and_an_episode_of_evaluation(tiny, monk
     evaluations = schedule.total_steps / schedule.eval_every
     seconds = schedule.total_steps / every + schedule.eval_episodes * evaluations
     assert bench.estimate(config, 2) == pytest.approx(seconds)
+
+
+def test_another_library_takes_as_many_steps_with_the_same_networks(monkeypatch):
+    learned, made = [], []
+
+    class SAC:
+        def __init__(self, policy, env, **options):
+            made.append((policy, env.spec.id, options))
+
+        def learn(self, steps, reset_num_timesteps=True):
+            learned.append((steps, reset_num_timesteps))
+
+    monkeypatch.setitem(sys.modules, "sbx", SimpleNamespace(SAC=SAC))
+    act = bench.peer("sbx", (8, 6))
+    act()
+    assert learned[1:] == [(2 * CHUNK, False)]
+    ((_, task, options),) = made
+    assert (task, options["policy_kwargs"]) == (bench.TASK, {"net_arch": [8, 6]})
+    assert (options["batch_size"], options["device"]) == (bench.BATCH, "cpu")
+
+
+def test_a_library_that_is_not_there_is_named_with_its_cure(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sbx", None)
+    with pytest.raises(ModuleNotFoundError, match=r"SBX is not installed: pip install .*\[sbx\]"):
+        bench.peer("sbx", (8,))
