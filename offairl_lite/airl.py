@@ -205,12 +205,9 @@ class AIRL:
         spec = records.RunSpec.read(path)
         needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
         if (env is None and needs_env) or (isinstance(env, str) and env != spec.config.env_id):
-            task = spec.config.env_id
-            whose = (
-                f"{task}: give that task"
-                if ":" in task
-                else "a task that was given as an object or a function: give it again"
-            )
+            whose = f"{spec.config.env_id}: give that task"
+            if spec.config.env_id.startswith("airl/"):
+                whose = "a task that was given as an object or a function: give it again"
             raise ValueError(f"{path} was trained on {whose}, AIRL.load(path, env)")
         envs.register(spec.config.env_id if env is None else env, spec.config.env_id)
         self = cls.__new__(cls)
