@@ -6,10 +6,25 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import HTML
 from jaxtyping import UInt8
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from offairl_lite.analysis import plots
+
+EDGE = [
+    patheffects.Stroke(linewidth=5, foreground="white"),
+    patheffects.Normal(),
+]
+"""A line with it can be seen on any map."""
+
+
+def bare(axes: Axes | Sequence[Axes]) -> None:
+    """Take away what a map does not need: ticks, labels and frame."""
+    for ax in np.ravel(axes):
+        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        for spine in ax.spines.values():
+            spine.set_visible(False)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> HTML:

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import log_softmax
 
-from drawing import diagram, film, table
+from drawing import EDGE, bare, diagram, film, table
 from offairl_lite import tabular
 from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
@@ -15,17 +15,6 @@ from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration
 
 OUTLINE = [effects.withStroke(linewidth=1.4, foreground="black")]
-
-
-EDGE = [effects.Stroke(linewidth=5, foreground="white"), effects.Normal()]
-
-
-def _bare(axes):
-    # maps need no axes
-    for ax in np.ravel(axes):
-        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
-        for spine in ax.spines.values():
-            spine.set_visible(False)
 
 
 def old_and_new(cells):
@@ -69,7 +58,7 @@ def old_and_new(cells):
         image = plots.grid(axes[1], np.zeros(cells**2), "Left")
         image.set_clim(-14, 0)
         plots.maze(axes[0], "Left")
-        _bare(axes)
+        bare(axes)
         lines, heads = [], []
         for ax, color in zip(axes, (plots.ORANGE, plots.BLUE), strict=True):
             lines += ax.plot([], [], color=color, lw=2.6, path_effects=EDGE)
@@ -93,7 +82,7 @@ def old_and_new(cells):
                 for ax in axes:
                     ax.collections[0].remove()
                     plots.maze(ax, "Right")
-                _bare(axes)
+                bare(axes)
                 axes[0].set_title("the wall moves: the old policy")
                 axes[1].set_title("a new policy for the frozen reward")
             trail(0, carried, min(t, STEPS))
@@ -196,7 +185,7 @@ def best_rewards(learned, opponents, mdp, maze):
             label = "logarithm of the ratio" if ax is axes[0] else "reward"
             fig.colorbar(image, ax=ax, label=label, **below)
             ax.set_title(name)
-        _bare(axes)
+        bare(axes)
         plt.show()
 
 
@@ -241,7 +230,7 @@ def entangled(rewards, new_policies, moved):
             heads = plots.arrows(ax, new_policies[name], moved.positions)
             heads.set_path_effects(OUTLINE)
             ax.set_title(name)
-        _bare(axes)
+        bare(axes)
         plt.show()
 
 
@@ -310,7 +299,7 @@ def blind(columns, LEFT, RIGHT):
             pair[0].set_title(name)
             returned = abs(runs[1].returns[seed, -1])
             pair[1].set_title(f"return −{returned:.0f}")
-        _bare(axes)
+        bare(axes)
         for ax, place in zip(axes[:, 0], ("old", "new"), strict=True):
             ax.set_ylabel(f"{place} maze")
         plt.show()

@@ -1,28 +1,16 @@
 """The pictures, tables and the film of chapter 6."""
 
-import matplotlib.patheffects as effects
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.ticker import NullLocator
 
-from drawing import diagram, film, table
+from drawing import EDGE, bare, diagram, film, table
 from offairl_lite import demonstrations
 from offairl_lite.analysis import epic, plots
 from offairl_lite.runs import records
 
 LEVELS = (0.5, 0.9, 0.99)
-
-
-EDGE = [effects.Stroke(linewidth=5, foreground="white"), effects.Normal()]
-
-
-def _bare(axes):
-    # maps need no axes
-    for ax in np.ravel(axes):
-        ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
-        for spine in ax.spines.values():
-            spine.set_visible(False)
 
 
 def _dots(ax, y, values, color, spread=0.24):
@@ -61,7 +49,7 @@ def learning(story_r, STORIES, hold=2):
         )
         image.set_clim(depth, 0)
         plots.maze(top, "Left")
-        _bare(top)
+        bare(top)
         top.set_title(title)
         ghost = top.plot([], [], color="white", lw=1, alpha=0.6)[0]
         line = top.plot([], [], color=color, lw=2.8, path_effects=EDGE)[0]

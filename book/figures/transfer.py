@@ -15,7 +15,7 @@ from offairl_lite.runs import records
 
 RECORDS = Path("records")
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
-two = "maze-transfer-rewards-demo/released-and-airl"
+TWO_KINDS = "maze-transfer-rewards-demo/released-and-airl"
 
 
 EDGE = [patheffects.withStroke(linewidth=4.5, foreground="white")]
@@ -27,7 +27,9 @@ def walk(policy, task):
     return rollout(policy, task, seeds, 1).obs[:, 0, :, :2]
 
 
-three = "maze-transfer-rewards-demo/implementation-4-released-and-airl"
+THREE_KINDS = (
+    "maze-transfer-rewards-demo/implementation-4-released-and-airl"
+)
 SMALL, LARGE = "maze-retraining-demo", "maze-retraining-full"
 ARMS = ("scratch", "policy", "8-both", "8-gate")
 HELPS = {
@@ -40,16 +42,16 @@ HELPS = {
 }
 # Most runs are named after start and help; these are elsewhere.
 ELSEWHERE = {
-    (SMALL, "scratch", "-fresh"): f"{three}/scratch-alone",
+    (SMALL, "scratch", "-fresh"): f"{THREE_KINDS}/scratch-alone",
     (SMALL, "scratch", "-helped"): "maze-transfer-demo",
-    (SMALL, "policy", "-helped"): f"{three}/policy",
+    (SMALL, "policy", "-helped"): f"{THREE_KINDS}/policy",
     (LARGE, "scratch", "-helped"): f"{LARGE}/scratch",
     (LARGE, "8-gate", "-cool"): "maze-retraining-cool-full/8-gate-helped",
 }
 BAR = -14
 
 
-pair = "maze-transfer-rewards-demo/dac-and-state-action"
+DAC_AND_PPO = "maze-transfer-rewards-demo/dac-and-state-action"
 BEGINS = ("scratch", "policy", "scratch-alone", "policy-alone")
 
 
@@ -62,25 +64,25 @@ def _all_in(folder, first=0):
 TRIED = {
     "exact logit": {
         "scratch": ("maze-transfer-demo", 0),
-        "policy": (f"{three}/policy", 0),
-        "scratch-alone": (f"{three}/scratch-alone", 0),
+        "policy": (f"{THREE_KINDS}/policy", 0),
+        "scratch-alone": (f"{THREE_KINDS}/scratch-alone", 0),
         "policy-alone": ("maze-retraining-demo/policy", 0),
     },
     "density of the replay": _all_in("maze-transfer-rewards-demo/mixture"),
     "released loss": {
-        "scratch": (f"{two}/scratch", 0),
-        "policy": (f"{three}/policy", 5),
-        "scratch-alone": (f"{three}/scratch-alone", 5),
-        "policy-alone": (f"{two}/policy-alone", 0),
+        "scratch": (f"{TWO_KINDS}/scratch", 0),
+        "policy": (f"{THREE_KINDS}/policy", 5),
+        "scratch-alone": (f"{THREE_KINDS}/scratch-alone", 5),
+        "policy-alone": (f"{TWO_KINDS}/policy-alone", 0),
     },
-    "DAC": _all_in(pair),
+    "DAC": _all_in(DAC_AND_PPO),
     "PPO, r(s)": {
-        "scratch": (f"{two}/scratch", 5),
-        "policy": (f"{three}/policy", 10),
-        "scratch-alone": (f"{three}/scratch-alone", 10),
-        "policy-alone": (f"{two}/policy-alone", 5),
+        "scratch": (f"{TWO_KINDS}/scratch", 5),
+        "policy": (f"{THREE_KINDS}/policy", 10),
+        "scratch-alone": (f"{THREE_KINDS}/scratch-alone", 10),
+        "policy-alone": (f"{TWO_KINDS}/policy-alone", 5),
     },
-    "PPO, r(s, a)": _all_in(pair, 5),
+    "PPO, r(s, a)": _all_in(DAC_AND_PPO, 5),
     "true reward": {
         begin: (f"maze-transfer-rewards-demo/true/true-{begin}", 0)
         for begin in BEGINS
