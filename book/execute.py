@@ -16,8 +16,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import nbformat
-from nbclient import NotebookClient
+# Reading a notebook imports this, which takes a second or two to build a
+# grammar of web addresses, and no page needs it.
+sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
+
+import nbformat  # noqa: E402
+from nbclient import NotebookClient  # noqa: E402
 
 MARK = "offairl"
 """Where a notebook's metadata says what did not go well."""
