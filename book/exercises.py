@@ -5,12 +5,13 @@
     check("ex-hard", soft_backup)
 
 tries the reader's function on inputs whose answer mathematics knows, and
-prints one line: not yet filled in, what is wrong, or right. The judge of an
-exercise is the function below with its label's name. It needs nothing from
-the page, and draws no number from a generator that the page uses.
+prints what is wrong, or that nothing is filled in yet, or that it is right.
+The judge of an exercise is the function below with its label's name. It
+needs nothing from the page, and draws none of the page's random numbers.
 """
 
 import itertools
+import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -35,7 +36,7 @@ class Wrong(Exception):
 
 def check(label: str, answer: Answer) -> None:
     """Print what is wrong with the reader's function, if anything is."""
-    print(verdict(label, answer))
+    print(textwrap.fill(verdict(label, answer), 72))
 
 
 def verdict(label: str, answer: Answer) -> str:
@@ -52,9 +53,7 @@ def verdict(label: str, answer: Answer) -> str:
         with np.errstate(all="ignore"):
             judge(filled)
     except Unfilled:
-        return (
-            "Not yet filled in: replace the dots, and run the cell again."
-        )
+        return "Not yet filled in: replace the dots."
     except Wrong as wrong:
         return f"Not yet. {wrong}"
     except NameError as error:
@@ -277,7 +276,7 @@ def ex_broadcast(answer: Answer) -> None:
     q = torch.randn(5, 1, generator=rng, dtype=torch.double)
     y = torch.randn(5, generator=rng, dtype=torch.double)
     squares = (q[:, 0] - y).square()
-    perfect = numbers(answer(y[:, None].clone(), y.clone()))
+    perfect = numbers(answer(y[:, None].clone(), y.clone())).round(2)
     mistakes = {
         "(B, 1) minus (B,) is (B, B): every estimate is compared with "
         "every target.": (q - y).square().mean(),
@@ -411,7 +410,7 @@ def ex_loops(answer: Answer) -> None:
             "The loops are rows, too: an episode has n + w of them.": (
                 np.log(policy / expert)
             ),
-            "Both sides store w loops *an episode*. What share of their "
+            "Both sides store w loops an episode. What share of their "
             "rows is that?": 0.0,
         }
         hint = f"With w = {copies} an episode has {expert} + {copies} rows."
@@ -449,7 +448,7 @@ def ex_why_not_add(answer: Answer) -> None:
     each = norm.logpdf(a[:, None], mean, std)
     right = logsumexp(each, axis=1, b=weight)
     mistakes = {
-        "A mean of logarithms is the logarithm of a *product*.": (
+        "A mean of logarithms is the logarithm of a product.": (
             each @ weight
         ),
         "This is the density. Return its logarithm.": np.exp(right),
@@ -472,7 +471,8 @@ def ex_wilson(answer: Answer) -> None:
             "it be?": 0.975 ** (1 / n),
             "This is the chance not to arrive.": 1 - 0.025 ** (1 / n),
         }
-        hint = f"With this p all {n} arrive in {p**n * 100} % of the cases."
+        share = (100 * p**n).round(1)
+        hint = f"With this p all {n} arrive in {share} % of the cases."
         expect(p, 0.025 ** (1 / n), mistakes, hint)
 
 
@@ -487,7 +487,7 @@ def ex_lag(answer: Answer) -> None:
         return slow
 
     mistakes = {
-        "Slow critics follow at every *second* update.": (
+        "Slow critics follow at every second update.": (
             followed(updates, gamma)
         ),
         "There they end. They are not there yet.": r / (1 - gamma),
