@@ -62,14 +62,15 @@ def needed(name: str) -> int:
 def digest(page: Path) -> str:
     """Return what changes with the code of a page and its statements.
 
-    A cell that only shows an interactive figure computes nothing.
+    A cell that only shows an interactive figure computes nothing, and
+    what a cell with an exercise makes no other cell and no statement uses.
     """
     cells = json.loads(page.read_text("utf-8"))["cells"]
     code = [
         "".join(cell["source"])
         for cell in cells
         if cell["cell_type"] == "code"
-        and "toy" not in cell["metadata"].get("tags", [])
+        and not {"toy", "exercise"} & set(cell["metadata"].get("tags", []))
     ]
     text = json.dumps([code, statements(page.stem)])
     return hashlib.sha256(text.encode()).hexdigest()[:16]

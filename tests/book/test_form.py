@@ -115,10 +115,12 @@ def test_a_reader_sees_where_every_name_comes_from(path):
 def test_a_chapter_can_be_read_in_half_an_hour(path):
     """At most 3,000 words, 250 lines of visible code, and 20 lines a cell.
 
-    Formulas count as words; solutions do not.
+    Formulas count as words; hints, solutions and what a reader is to fill in do not.
     """
     words = lines = 0
     for cell, source in cells(path):
+        if "exercise" in cell.metadata.get("tags", []):
+            continue
         if cell.cell_type == "markdown":
             words += len(SOLUTION.sub("", cell.source).split())
         elif source is not None:
@@ -154,6 +156,19 @@ def test_a_cell_with_a_toy_only_shows_it(path):
         if "toy" in cell.metadata.get("tags", []):
             assert re.fullmatch(r"from figures import toys\n\ntoys\.show\(\"\w+\"\)", cell.source)
             assert "remove-input" in cell.metadata["tags"]
+
+
+@pytest.mark.parametrize("path", CHAPTERS[:10], ids=lambda path: path.stem)
+def test_a_reader_predicts_before_scrolling(path):
+    """A short question stands before a figure or an output, with its answer folded below it."""
+    text = "\n".join(cell.source for cell, _ in cells(path) if cell.cell_type == "markdown")
+    asked = re.findall(
+        r":::\{admonition\} Predict before you scroll: (.+\?)\n:class: dropdown.*\n\n(.+)\n:::",
+        text,
+    )
+    assert asked
+    for question, answer in asked:
+        assert len(question.split()) + len(answer.split()) <= 45
 
 
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)

@@ -172,12 +172,13 @@ def test_failures_are_counted(toy, tmp_path, capsys, monkeypatch):
     assert portable.entry_of("toy", toy)["runs"] == {}
 
 
-def test_a_cell_that_shows_a_toy_is_no_change(toy):
+@pytest.mark.parametrize("tag", ["toy", "exercise"])
+def test_a_cell_for_the_reader_alone_is_no_change(toy, tag):
     before, page = portable.digest(toy), nbformat.read(toy, as_version=4)
     page.cells.insert(0, nbformat.v4.new_code_cell("toys.show('walls')"))
     nbformat.write(page, toy)
     assert portable.digest(toy) != before
-    page.cells[0].metadata["tags"] = ["toy", "remove-input"]
+    page.cells[0].metadata["tags"] = [tag, "remove-input"]
     nbformat.write(page, toy)
     assert portable.digest(toy) == before
 
