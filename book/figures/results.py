@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 from IPython.display import HTML
 
 import drawing
@@ -95,42 +94,29 @@ def evidence(arrived, FOUND, recipe, step, larger):
     (eight, sac), (guided, alone) = arrived(7), arrived(8, 2)
     gate, gate_alone = arrived(8, 4)
     EVIDENCE = {
-        4: f"From the old policy {arrived(4)[0]} of {SEEDS} seeds "
-        "arrive after 100,000 steps; the others stay in the trap.",
-        6: "After a short warm-up no seed arrives, with four "
-        "primitives within "
-        "{} steps or with eight within {}, at a fixed temperature. At a "
-        "learned one ".format(*(c.scale.split("× ")[1] for c in FOUND[6]))
-        + "none does either, but with four primitives it ran away in "
-        "half of "
-        "the seeds.",
-        7: "Ten seeds cannot test a variance, so we ask instead "
-        "whether more "
-        f"arrive: {eight} of {SEEDS}, with SAC {sac}, after 40,000 steps. "
-        "The difference may be luck.",
-        8: "With random starts, where an expert of the new maze acts "
-        "first, "
-        f"{guided} of {SEEDS} arrive with primitives instead of {alone}: "
-        "a clear difference by itself, though not after a correction "
-        "for five "
-        "tests, and with such an expert you need no transfer. "
-        f"With a gate of eight alone {gate} arrive instead of "
-        f"{gate_alone}, "
-        "but there the temperature differs, too. "
+        4: f"{arrived(4)[0]} of {SEEDS} old policies arrive after 100,000 "
+        "steps; the others stay in the trap.",
+        6: "At a fixed temperature no gate arrives, with four primitives "
+        "within {} steps or with eight within {}. ".format(
+            *(c.scale.split("× ")[1] for c in FOUND[6])
+        )
+        + "At a learned temperature none does either; with four "
+        "primitives it ran away in half of the seeds.",
+        7: "Ten seeds cannot test a variance. So we ask whether more "
+        f"arrive: {eight} of {SEEDS}, and {sac} with SAC, after 40,000 "
+        "steps. That may be luck.",
+        8: "If an expert of the new maze takes the first steps, "
+        f"{guided} of {SEEDS} arrive with primitives instead of {alone}, "
+        f"and with a gate of eight alone {gate} instead of {gate_alone}. "
         "With SAC {} instead of {}: perhaps luck.".format(*arrived(8)),
-        1: "So far, on CustomAnt with the AIRL loss, 4 is better "
-        "than 1 and "
-        "2 and not clearly better than 3, but no ant walks.",
-        2: f"So far, with the recipe and small networks and {step:,} "
-        f"steps: "
-        f"{recipe}. "
-        f"With paper-size networks and three seeds: {larger}.",
-        3: "So far no seed walks on a reward of the whole state, used "
-        "as in "
-        "the paper.",
-        5: "So far, with the recipe, no clear difference on "
-        "HalfCheetah, nor "
-        "on Ant.",
+        1: "So far, on CustomAnt with the AIRL loss: 4 is better than 1 "
+        "and 2, and not clearly better than 3. But no ant walks.",
+        2: f"So far, with the recipe, small networks and {step:,} steps: "
+        f"{recipe}. With paper-size networks and three seeds: {larger}.",
+        3: "So far no seed walks on a reward of the whole state, used as "
+        "in the paper.",
+        5: "So far, with the recipe: no clear difference on HalfCheetah, "
+        "nor on Ant.",
     }
     return EVIDENCE
 
@@ -160,24 +146,32 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
 
 def with_the_recipe(PAIRS, LABELS, of_demonstrations):
     """Draw the returns of four robots, off-policy AIRL and DAC."""
+    colors = (plots.BLUE, plots.ORANGE)
     with plots.style():
         _fig, axes = plt.subplots(
-            2, 2, figsize=(7.2, 5), sharex=True, sharey=True
+            2, 2, figsize=(5.4, 4.6), sharex=True, sharey=True
         )
         for ax, (robot, pair) in zip(axes.flat, PAIRS.items(), strict=True):
-            for run, label, color in zip(
-                pair, LABELS, (plots.BLUE, plots.ORANGE), strict=True
-            ):
+            for run, label, color in zip(pair, LABELS, colors, strict=True):
                 percent = run.returns / of_demonstrations(robot)
                 plots.curve(ax, run.steps / 1_000, percent, label, color)
-            label = "demonstrations" if robot == "Walker2d" else ""
-            plots.level(ax, 100, label, plots.GREEN)
+            plots.level(ax, 100, "", plots.GREEN)
             ax.set(title=robot)
         for ax in axes[1]:
             ax.set(xlabel="thousand steps")
         for ax in axes[:, 0]:
-            ax.set(ylabel="% of the demonstrations")
-        axes[0, 1].legend(loc="lower right")
+            ax.set(ylabel="% of demonstrations")
+        names = [*zip(LABELS, colors, strict=True)]
+        names.append(("demonstrations", plots.GREEN))
+        for i, (label, color) in enumerate(reversed(names)):
+            axes[1, 0].text(
+                0.97,
+                0.05 + 0.12 * i,
+                label,
+                color=color,
+                ha="right",
+                transform=axes[1, 0].transAxes,
+            )
         plt.show()
 
 
@@ -261,91 +255,140 @@ def choices(ROBOTS, PAIRS):
     return CHOICES
 
 
+def _decides(gains):
+    """Whether a choice is clearly worth more than half on some robot."""
+    return any(low > 0 and middle > 50 for middle, low, _ in gains.values())
+
+
 def what_choices_add(at_the_end, CHOICES, GAINS):
-    """Draw what each choice adds."""
-    THOUSANDS = [
-        " / ".join(
-            f"{step // 1000}"
-            for step in dict.fromkeys(
-                at_the_end(pair)[0] for pair in pairs.values()
-            )
-        )
-        for pairs in CHOICES.values()
-    ]
+    """Draw what each choice adds: a panel a robot, a row a choice."""
+    groups = {
+        "More than half of the return, on one robot at least": [
+            choice for choice, gains in GAINS.items() if _decides(gains)
+        ],
+        "Less, or nothing clear": [
+            choice for choice, gains in GAINS.items() if not _decides(gains)
+        ],
+    }
+    steps = {
+        choice: [*{at_the_end(pair)[0]: 0 for pair in pairs.values()}]
+        for choice, pairs in CHOICES.items()
+    }
+    robots = [robot for robot in LOOKS if robot != "DisabledAnt"]
+    zero = {"color": plots.GREY, "linewidth": 0.8, "zorder": 1}
     with plots.style():
-        fig, ax = plt.subplots(figsize=(7.4, 7))
-        ax.axvline(0, color="black", linewidth=0.8)
-        named = {}
-        for i, gains in enumerate(GAINS.values()):
-            shifts = 0.22 * (np.arange(len(gains)) - (len(gains) - 1) / 2)
-            for (robot, (middle, low, high)), shift in zip(
-                gains.items(), shifts, strict=True
-            ):
-                color, marker = LOOKS[robot]
-                ax.plot(
-                    [low, high], [i + shift] * 2, color=color, alpha=0.5
-                )
-                (named[robot],) = ax.plot(
-                    middle,
-                    i + shift,
-                    marker,
-                    color=color,
-                    ms=7,
-                    mec="white",
-                )
-        labels = [
-            f"{choice} ({steps}k)"
-            for choice, steps in zip(GAINS, THOUSANDS, strict=True)
-        ]
-        ax.set_yticks(range(len(GAINS)), labels)
-        ax.set(ylim=(len(GAINS) - 0.5, -0.5))
-        ax.set_xlabel("what it adds, % of the demonstrations' return")
-        fig.legend(
-            [named[robot] for robot in LOOKS],
-            LOOKS,
-            loc="outside lower center",
-            ncols=5,
+        fig, axes = plt.subplots(
+            1, len(robots), figsize=(5.4, 8.4), sharey=True
         )
+        for ax, robot in zip(axes, robots, strict=True):
+            ax.set_title(robot, color=LOOKS[robot][0])
+            ax.set(xlim=(-50, 165), xticks=[0, 100], yticks=[])
+            ax.tick_params(length=0)
+            ax.grid(visible=False)
+            ax.spines[:].set_visible(False)
+            ax.patch.set_visible(False)
+        y = 0.0
+        for group, members in groups.items():
+            _line(axes[0], y, group, weight="bold")
+            y += 0.75
+            for choice in members:
+                _line(axes[0], y, choice.replace("\n", " "))
+                if steps[choice] != [100_000]:
+                    text = " / ".join(
+                        f"{k // 1000}k" for k in steps[choice]
+                    )
+                    _line(
+                        axes[-1], y, text, 1, ha="right", color=plots.GREY
+                    )
+                for robot, gain in GAINS[choice].items():
+                    ax = axes[min([*LOOKS].index(robot), len(robots) - 1)]
+                    strip = y + 0.28, y + 0.82
+                    ax.axhspan(*strip, color="#f2f2f2", zorder=0)
+                    ax.plot([0, 0], strip, "-", **zero)
+                    _gain(ax, y + 0.55, robot, gain)
+                y += 1.15
+            y += 0.35
+        axes[0].set_ylim(y - 0.3, -0.4)
+        text = "what it adds, % of the demonstrations' return"
+        fig.supxlabel(text, fontsize=10)
         plt.show()
+
+
+def _line(ax, y, text, at=0, color="black", **look):
+    """Write over the panels, beginning or ending at the edge of one."""
+    ax.text(
+        at,
+        y,
+        text,
+        color=color,
+        va="center",
+        in_layout=False,
+        transform=ax.get_yaxis_transform(),
+        **look,
+    )
+
+
+def _gain(ax, y, robot, gain):
+    """Draw a difference with its interval; hollow if it may be nothing."""
+    middle, low, high = gain
+    color, marker = LOOKS[robot]
+    clear = low > 0 or high < 0
+    ax.plot([low, high], [y, y], color=color, alpha=0.5 if clear else 0.3)
+    fill = {"ms": 7, "mec": "white"} if clear else {"ms": 6, "mfc": "white"}
+    ax.plot(middle, y, marker, color=color, mew=1.2, zorder=3, **fill)
+    if robot == "DisabledAnt":
+        name = {"color": color, "fontsize": "small", "va": "center"}
+        ax.text(-58, y, robot, ha="right", in_layout=False, **name)
 
 
 def arrivals(maze):
-    """Draw how many seeds arrive."""
-    looks = {helped: look for helped, (_, *look) in HELP.items()}
-    looks[COOL] = (plots.PURPLE, "v")
+    """Draw which seeds arrive: a panel a guide, a row a way of learning."""
+    titles = (
+        "no guide",
+        "the imitator\nguides",
+        "an expert of the\nnew maze guides",
+    )
     with plots.style():
-        fig, ax = plt.subplots(figsize=(7.4, 4.3))
-        named = {}
-        for i, way in enumerate(WAYS):
-            helps = [helped for helped in looks if (way, helped) in maze]
-            shifts = 0.18 * (np.arange(len(helps)) - (len(helps) - 1) / 2)
-            for helped, shift in zip(helps, shifts, strict=True):
-                rate, low, high = 100 * np.array(
-                    success_rate(maze[way, helped])
-                )
-                color, marker = looks[helped]
-                ax.plot(
-                    [low, high], [i + shift] * 2, color=color, alpha=0.4
-                )
-                (named[helped],) = ax.plot(
-                    rate,
-                    i + shift,
-                    marker,
-                    color=color,
-                    ms=7,
-                    mec="white",
-                    clip_on=False,
-                )
-        ax.set_yticks(range(len(WAYS)), WAYS)
-        ax.set(xlim=(0, 100), ylim=(len(WAYS) - 0.5, -0.5))
-        ax.set_xlabel("seeds that arrive (%)")
-        fig.legend(
-            [named[helped] for helped in looks],
-            looks,
-            loc="outside lower center",
-            ncols=2,
+        _fig, axes = plt.subplots(
+            1, len(HELP), figsize=(5.4, 3.6), sharey=True, sharex=True
         )
+        for ax, title, (helped, (_, color, _marker)) in zip(
+            axes, titles, HELP.items(), strict=True
+        ):
+            ax.set_title(title, color=color, fontsize=10)
+            ax.set(xlim=(-0.3, 12.3), xticks=[])
+            ax.grid(visible=False)
+            ax.spines[:].set_visible(False)
+            ax.tick_params(length=0)
+            for i, way in enumerate(WAYS):
+                if (way, helped) in maze:
+                    _seeds(ax, i, maze[way, helped], color)
+        _seeds(
+            axes[0], len(WAYS), maze["gate alone, 8", COOL], plots.PURPLE
+        )
+        names = [*WAYS, "the same, held and\nat a fixed temperature"]
+        axes[0].set_yticks(range(len(names)), names)
+        axes[0].get_yticklabels()[-1].set_color(plots.PURPLE)
+        axes[0].set_ylim(len(names) - 0.4, -0.6)
         plt.show()
+
+
+def _seeds(ax, y, seeds, color):
+    """Draw a dot for each seed, filled if it arrives, and how many do."""
+    _, low, high = success_rate(seeds)
+    n, count = len(seeds), int(seeds.sum())
+    ax.plot(
+        [n * low, n * high],
+        [y, y],
+        color=color,
+        alpha=0.2,
+        lw=9,
+        solid_capstyle="butt",
+    )
+    for i in range(n):
+        fill = color if i < count else "white"
+        ax.plot(i + 0.5, y, "o", ms=5, mfc=fill, mec=color, mew=0.8)
+    ax.text(n + 2.2, y, str(count), color=color, ha="right", va="center")
 
 
 def open_questions(FOUND, extra, open_claims):

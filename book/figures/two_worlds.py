@@ -118,34 +118,32 @@ def distances(
 def coverage(kept: Mapping[str, Array]) -> None:
     """Draw the score in the third maze by the steps seen."""
     with plots.style():
-        fig, axes = plt.subplots(1, 2, figsize=(6.4, 4.1), sharey=True)
-    panels = (
-        ("careful", "one start", "careful, one start"),
-        ("sloppy", "everywhere", "sloppy, everywhere"),
-    )
-    lines = (
-        ("dry", "r(s, a)", plots.ORANGE, "-", "dry floor, r(s, a)"),
-        ("dry and wet", "r(s, a)", plots.BLUE, "-", "dry and wet, r(s, a)"),
-        ("dry", "r(s)", plots.ORANGE, "--", "dry floor, r(s)"),
-        ("dry and wet", "r(s)", plots.BLUE, "--", "dry and wet, r(s)"),
-    )
-    for ax, (expert, start, title) in zip(axes, panels, strict=True):
-        for worlds, reward, color, style, label in lines:
-            key = ", ".join((expert, start, worlds, reward))
-            values = 100 * kept[key][..., 0]
-            middle = np.median(values, 1)
-            thin = {"color": color, "alpha": 0.3, "lw": 0.7}
-            ax.plot(kept["steps"], values, style, **thin)
-            ax.plot(kept["steps"], middle, style, color=color, label=label)
-        ax.set(
-            xscale="log", xlabel="steps seen", title=title, ylim=(-30, 110)
+        _, axes = plt.subplots(
+            2, 2, figsize=(5.4, 4.8), sharex=True, sharey=True
         )
-    axes[0].set_ylabel("return in the third maze (%)")
-    fig.legend(
-        *axes[0].get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=2,
-    )
+    experts = {
+        "careful, one start": "one start, hardly errs",
+        "sloppy, everywhere": "all starts, errs more",
+    }
+    worlds = {"dry": plots.ORANGE, "dry and wet": plots.BLUE}
+    for row, reward in zip(axes, ("r(s, a)", "r(s)"), strict=True):
+        row[0].set_ylabel(f"{reward}: score (%)")
+        for ax, expert in zip(row, experts, strict=True):
+            for name, color in worlds.items():
+                values = 100 * kept[f"{expert}, {name}, {reward}"][..., 0]
+                ends = values.min(1), values.max(1)
+                band = {"color": color, "alpha": 0.15, "lw": 0}
+                ax.fill_between(kept["steps"], *ends, **band)
+                ax.plot(kept["steps"], np.median(values, 1), color=color)
+            ax.set(xscale="log", ylim=(-30, 110))
+    for ax, title in zip(axes[0], experts.values(), strict=True):
+        ax.set_title(title)
+    for ax in axes[1]:
+        ax.set_xlabel("steps seen")
+    for y, (name, color) in enumerate(worlds.items()):
+        at = {"transform": axes[1, 1].transAxes, "ha": "right"}
+        place = (0.96, 0.18 - 0.12 * y)
+        axes[1, 1].text(*place, f"{name} floor", color=color, **at)
     plt.show()
 
 
