@@ -98,6 +98,35 @@ TOYS = {
         "before, which is highest at the star. The planned way leads "
         "through the new gap to the star.",
     ),
+    "pendulum": Toy(
+        ["networks"],
+        "Pull at the pendulum, with the same weak motor, and let the "
+        "actor take over. Or press on the map: it starts in that state.",
+        "A pendulum that stands upright, and a map of its angle and speed, "
+        "coloured by the critics' value. Its way leads from hanging still "
+        "in growing swings to the dashed line of just enough energy, and "
+        "along it to the top.",
+    ),
+    "loop": Toy(
+        [],
+        "Play: paid for being improbable, the policy overshoots, more in "
+        "each round. Draw another policy, take smaller steps, or change "
+        "what is paid: with f alone, α = 1 leads to the expert.",
+        "Bars of a policy that has left the expert's bell curve for one "
+        "side, a reward that is highest on the other side, and below its "
+        "spread, which grows fivefold in each round.",
+    ),
+    "worlds": Toy(
+        ["mazes"],
+        "Change the second film: drag its wall, wet its floor, turn its "
+        "controls. Then ask for other rewards that fit both films (the "
+        "colours of the new maze): do they still lead through the door, "
+        "wherever you drag it?",
+        "Three mazes: two films of an expert that goes round a wall, the "
+        "second on a wet floor, and a new maze, coloured by the reward "
+        "learned from both. The way planned on it leads through the door "
+        "to the star.",
+    ),
 }
 
 

@@ -1,12 +1,16 @@
 """The interactive figures: their numbers are the package's, and hands and keys can use them."""
 
+import base64
+import itertools
 import json
+import math
 import re
 import runpy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import gymnasium
 import nbformat
 import numpy as np
 import pytest
@@ -16,11 +20,12 @@ from scipy.special import log_softmax
 from scipy.stats import norm
 from test_browser import BROWSERS, FLAGS, LOCAL, MAC, shutil, sync_api
 
+import grid_worlds
 from figures import toys
-from offairl_lite import tabular
+from offairl_lite import plain, tabular
 from offairl_lite.core.policies import product_of_gaussians
 from offairl_lite.plain import log_density
-from offairl_lite.tabular import empirical_occupancy, occupancy, soft_value_iteration
+from offairl_lite.tabular import MDP, empirical_occupancy, occupancy, soft_value_iteration
 
 BOOK = Path(toys.__file__).parents[1]
 PAGE = """<!doctype html><html data-theme={theme}><meta charset=utf-8>
@@ -412,6 +417,294 @@ def test_the_rewards_of_the_maze_are_the_recorded_ones_and_plans_are_the_package
     reward = np.array(table["rewards"][2]) / 999
     expected = soft_value_iteration(maze.mdp, reward, 0.0).value
     np.testing.assert_allclose(value, expected, atol=1e-6)
+
+
+def test_a_share_of_the_actions_can_fail(compute):
+    maze = tabular.maze(12, "Left", slip=0.3)
+    reward = np.random.default_rng(0).normal(size=(144, 5))
+    theirs = compute(f"""const to = mazes.build(12, mazes.book(12, "Left").wall);
+      return [...mazes.solve(to, {LIST(reward.ravel())}, 0.05, 0.97, {{slip: 0.3}}).policy];""")
+    expected = soft_value_iteration(maze.mdp, reward, 0.05).policy
+    np.testing.assert_allclose(theirs, expected.ravel(), atol=1e-9)
+
+
+def test_the_pendulum_is_gymnasiums(compute):
+    """Every step and its reward, also where torque and speed reach their limits."""
+    torques = np.random.default_rng(0).uniform(-3, 3, 300)
+    torques[100:200] = 3
+    theirs = compute(f"""let state = [3, -7.5];
+      return {LIST(torques)}.map((torque) => {{
+        const next = toys.pendulum.step(state, torque);
+        state = next.state;
+        return [...state, next.reward];
+      }});""")
+    env = gymnasium.make("Pendulum-v1").unwrapped
+    env.reset(seed=0)
+    env.state, ours = np.array([3, -7.5]), []
+    for torque in torques:
+        reward = env.step(np.array([torque]))[1]
+        ours.append([*env.state, reward])
+    assert np.abs(ours, dtype=float)[:, 1].max() == 8
+    np.testing.assert_allclose(theirs, ours, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """Actor and critics, as the file has them."""
+    text = (toys.FOLDER / "networks.js").read_text("utf-8")
+    written = json.loads(text[text.index("{") : text.rindex(";")])
+    sac = plain.SAC(3, 1, torch.Generator())
+    nets = [sac.actor.net, *sac.critic.nets]
+    for net, kept in zip(nets, [written["actor"], *written["critics"]], strict=True):
+        linear = [layer for layer in net.double() if isinstance(layer, torch.nn.Linear)]
+        for layer, part in zip(linear, kept, strict=True):
+            units = np.frombuffer(base64.b64decode(part["numbers"]), "<i2").astype(float)
+            weight, bias = np.split(part["scale"] * units, [layer.weight.numel()])
+            layer.weight.data = torch.tensor(weight).view_as(layer.weight)
+            layer.bias.data = torch.tensor(bias)
+    return sac
+
+
+def test_actor_and_critics_of_the_pendulum_are_the_plain_programs(compute, pendulum):
+    states = np.random.default_rng(0).uniform([-4, -8], [4, 8], (50, 2))
+    theirs = compute(f"""const {{act, worth}} = toys.pendulum;
+      return {LIST(states)}.map((state) => [act(state), worth(state)]);""")
+    angle, speed = torch.tensor(states).T
+    obs = torch.stack([angle.cos(), angle.sin(), speed / 8], -1)
+    with torch.no_grad():
+        mean, _ = pendulum.actor(obs)
+        worth = pendulum.critic(obs, mean).amin(0)
+    expected = np.stack([2 * mean[:, 0].tanh(), worth], -1)
+    np.testing.assert_allclose(theirs, expected, atol=1e-9)
+
+
+def test_networks_are_written_to_four_digits():
+    layers = runpy.run_path(str(toys.FOLDER / "tables.py"))["layers"]
+    net = plain.Actor(3, 1, torch.Generator().manual_seed(0)).net
+    for layer, part in zip(net[::2], layers(net), strict=True):
+        units = np.frombuffer(base64.b64decode(part["numbers"]), "<i2").astype(float)
+        numbers = torch.cat([layer.weight.flatten(), layer.bias]).detach().numpy()
+        np.testing.assert_allclose(
+            part["scale"] * units, numbers, atol=1e-4 * np.abs(numbers).max()
+        )
+
+
+def test_the_actor_swings_the_pendulum_up_from_every_state(compute):
+    """The pendulum stands still after ten seconds, and stood for two."""
+    ends = compute("""const {step, act} = toys.pendulum, ends = [];
+      for (let angle = -3; angle <= 3; angle++) for (let speed = -6; speed <= 6; speed += 3) {
+        let state = [angle, speed], least = 1;
+        for (let t = 0; t < 200; t++) {
+          ({state} = step(state, act(state)));
+          if (t >= 160) least = Math.min(least, Math.cos(state[0]));
+        }
+        ends.push(least);
+      }
+      return ends;""")
+    assert len(ends) == 35
+    assert min(ends) > 0.95
+
+
+@pytest.fixture(scope="module")
+def chapter_6():
+    names = {"math": math}
+    return cells("06_reward_variants.ipynb", "647d41a7", "1bc828f4", "9868e744", **names)
+
+
+@pytest.mark.parametrize("kind", ["logit", "f", "mixture"])
+@pytest.mark.parametrize(("alpha", "share"), [(0.2, 1.0), (0.2, 0.3), (5.0, 1.0)])
+def test_rounds_of_the_loop_are_sacs_best_answers(compute, kind, alpha, share):
+    theirs = compute(f"""const {{expert, round}} = toys.loop;
+      const rounds = [expert.map(() => -Math.log(31))];
+      for (let k = 0; k < 5; k++) rounds.push(round("{kind}", rounds[k], {alpha}, {share}));
+      return [expert, ...rounds];""")
+    f, *rounds = np.array(theirs)
+    np.testing.assert_allclose(f, log_softmax(norm.logpdf(np.linspace(-1, 1, 31), 0, 0.3)))
+    one = MDP(np.ones((1, 31, 1)), np.ones(1), 0.9)
+    for before, after in itertools.pairwise(rounds):
+        paid = {
+            "logit": f - before,
+            "f": f,
+            "mixture": f - np.log(np.exp(before) / 2 + 1 / 62),
+        }[kind]
+        best = soft_value_iteration(one, paid[None], alpha).log_policy[0]
+        expected = log_softmax((1 - share) * before + share * best)
+        np.testing.assert_allclose(after, expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("alpha", "share"), [(0.2, 1.0), (0.2, 0.3), (5.0, 1.0)])
+def test_the_loop_overshoots_as_the_alternation_of_chapter_6(compute, chapter_6, alpha, share):
+    """A small error grows by the same factor, in the toy and in the chapter's maze."""
+    said, grown = compute(f"""const {{expert, round, slope}} = toys.loop;
+      const most = (x) => Math.max(...x.map(Math.abs)), rest = 1 + {alpha};
+      const total = Math.log(expert.reduce((sum, f) => sum + Math.exp(f / rest), 0));
+      const still = expert.map((f) => f / rest - total);
+      const p = still.map(Math.exp), error = expert.map((_, k) => (k % 2 ? 1e-6 : -1e-6) / p[k]);
+      error[30] = 0;
+      error[15] -= error.reduce((sum, e, k) => sum + p[k] * e, 0) / p[15];
+      const after = round("logit", still.map((l, k) => l + error[k]), {alpha}, {share});
+      return [slope("logit", {alpha}, {share}), (after[3] - still[3]) / error[3]];""")
+    assert said == pytest.approx(1 - share * (1 + 1 / alpha))
+    assert grown == pytest.approx(said, rel=1e-2)
+    assert chapter_6["slope"](alpha, share) == pytest.approx(said, rel=1e-2)
+
+
+WORLDS = {
+    "again": ({}, {}),
+    "wet": ({"slip": 0.3}, {"slip": 0.3}),
+    "turned": ({"controls": "turned"}, {"order": grid_worlds.QUARTER}),
+    "mirrored": ({"controls": "mirrored"}, {"order": grid_worlds.MIRROR}),
+    "in a hurry": ({"gamma": 0.9}, {"discount": 0.9}),
+    "wall moved": ({"wall": {"row": 4, "from": 2, "to": 11}},) * 2,
+    "wall moved, wet and mirrored": (
+        {"wall": {"row": 7, "from": 3, "to": 12}, "slip": 0.1, "controls": "mirrored"},
+        {"wall": {"row": 7, "from": 3, "to": 12}, "slip": 0.1, "order": grid_worlds.MIRROR},
+    ),
+}
+
+
+def world(path, wall=None, slip=0.0, order=(0, 1, 2, 3, 4), discount=0.97):
+    """A world of chapter 12, from its own builders."""
+    wall = wall or {"row": 7, "from": 0, "to": 9}
+    start = int(tabular.maze(12, "Left").mdp.initial.argmax())
+    path.write_text(LIST({"cells": 12, "wall": wall, "demonstrations": [{"states": [start]}]}))
+    mdp = toys.maze(path, discount)
+    dense = grid_worlds.dense(grid_worlds.turned(mdp, order))
+    return replace(mdp, transition=(1 - slip) * dense + slip * dense.mean(1, keepdims=True))
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_two_worlds_teach_what_the_package_says(compute, tmp_path, name):
+    theirs, ours = WORLDS[name]
+    noise = np.random.default_rng(0).normal(size=720)
+    smallest, other = compute(f"""const {{world, doored, lesson}} = toys.worlds;
+      const second = world({{wall: mazes.book(12, "Left").wall, ...{LIST(theirs)}}});
+      return [undefined, Float64Array.from({LIST(noise)})].map((noise) => {{
+        const found = lesson(second, doored({{row: 7, door: 1}}), noise);
+        return {{...found, reward: [...found.reward], films: 0, own: 0}};
+      }});""")
+    truth, third = tabular.maze(12, "Left").reward, grid_worlds.wall()
+    worlds = [world(tmp_path / "first"), world(tmp_path / "second", **ours)]
+    assert (worlds[0].transition != tabular.maze(12, "Left").mdp.transition).nnz == 0
+    films = [soft_value_iteration(mdp, truth, 0.05).log_policy for mdp in worlds]
+    reward = tabular.shared_reward(worlds, films, 0.05)
+    np.testing.assert_allclose(smallest["reward"], reward.ravel(), atol=1e-5)
+    assert smallest["open"] == tabular.separation(worlds).free
+    assert smallest["like"] == pytest.approx(
+        np.corrcoef(reward.ravel(), np.repeat(truth, 5))[0, 1], abs=1e-5
+    )
+    copied, best, planned = (
+        tabular.policy_return(third, np.exp(log_policy), truth)
+        for log_policy in (
+            films[0],
+            *(soft_value_iteration(third, r, 0.05).log_policy for r in (truth, reward)),
+        )
+    )
+    assert smallest["score"] == pytest.approx((planned - copied) / (best - copied), abs=1e-4)
+    # The other reward fits the same films, and differs only where something is open.
+    for mdp, film in zip(worlds, films, strict=True):
+        same = soft_value_iteration(mdp, np.reshape(other["reward"], (144, 5)), 0.05).log_policy
+        np.testing.assert_allclose(same, film, atol=1e-4)
+    differs = np.std(np.subtract(other["reward"], smallest["reward"]))
+    expected = np.std(truth) if smallest["open"] > 1 else 0
+    assert differs == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_pendulum_is_steered_by_hand_and_by_the_actor(opened):
+    view = opened("pendulum")
+    says, canvas = view.locator(".toy-says"), view.locator(".toy canvas")
+    state = partial(view.evaluate, "toys.all[0].state()")
+    assert re.search(r"The actor steers\. Return −\d+ after 200 steps\. Upright", says.inner_text())
+    box = canvas.nth(1).bounding_box()
+    view.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 0.4 * box["height"])
+    assert 60 < state()["start"][0] < 160
+    assert 0 < state()["start"][1] < 4
+    assert "Upright since" in says.inner_text()
+    canvas.nth(1).press("ArrowUp")
+    assert state()["time"] == 200
+    view.get_by_role("radio", name="off").check()
+    view.get_by_role("button", name="Hang it down").click()
+    assert state()["state"] == pytest.approx([np.pi, 0])
+    assert state()["total"] == pytest.approx(-200 * np.pi**2)
+    canvas.nth(0).press("ArrowRight")
+    assert state()["state"][1] > 1
+    assert [point["mine"] for point in state()["trail"][-6:]] == [False, *[True] * 5]
+
+    box, before = canvas.nth(0).bounding_box(), state()["time"]
+    centre = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    view.mouse.move(centre[0] - 0.3 * box["width"], centre[1])
+    view.mouse.down()
+    view.wait_for_function(f"toys.all[0].state().time > {before + 5}")
+    assert says.inner_text().startswith("You steer")
+    view.mouse.up()
+    canvas.nth(0).press("Space")
+    assert state()["steers"] == "actor"
+    assert "Upright since" in says.inner_text()
+
+
+def test_a_policy_is_drawn_and_the_loop_runs_away(opened):
+    view = opened("loop")
+    says, canvas = view.locator(".toy-says"), view.locator(".toy canvas").first
+    state = partial(view.evaluate, "toys.all[0].state()")
+    box = canvas.bounding_box()
+    drag(
+        view,
+        (box["x"] + 0.8 * box["width"], box["y"] + 0.6 * box["height"]),
+        (box["x"] + 0.9 * box["width"], box["y"] + 0.4 * box["height"]),
+    )
+    drawn = state()
+    assert sum(drawn["policy"][21:]) > 0.3
+    assert drawn["chosen"] >= 26
+    before = drawn["policy"][drawn["chosen"]]
+    canvas.press("ArrowUp")
+    after = state()["policy"][drawn["chosen"]]
+    assert after == pytest.approx(2 * before / (1 + before))
+    view.get_by_role("button", name="One round").click()
+    assert "Round 1." in says.inner_text()
+    assert state()["policy"][drawn["chosen"]] < 1e-3
+    view.evaluate("toys.all[0].finish()")
+    assert state()["story"][-1] > 1e6
+    view.get_by_text("f", exact=True).click()
+    view.get_by_label("temperature α").fill("0")
+    view.get_by_role("button", name="One round").click()
+    assert "Distance to the expert: 0 %" in says.inner_text()
+    view.get_by_text("f − log mixture").click()
+    view.evaluate("toys.all[0].finish()")
+    assert max(state()["story"]) < 20
+
+
+def test_a_second_film_is_changed_by_hand(opened):
+    view = opened("worlds")
+    says, canvas = view.locator(".toy-says"), view.locator(".toy canvas")
+    state = partial(view.evaluate, "toys.all[0].state()")
+    assert "leave 144 directions open" in says.inner_text()
+    assert "scores 0 %" in says.inner_text()
+    box = canvas.nth(1).bounding_box()
+    size = (box["width"] - 14) / 12
+    at = [(box["x"] + 7 + size * x, box["y"] + box["width"] - 7 - size * 7) for x in (4.5, 8.5)]
+    drag(view, *at)
+    assert state()["wall"] == {"row": 7, "from": 4, "to": 13}
+    assert 1 < state()["open"] < 144
+    canvas.nth(1).press("ArrowLeft")
+    assert state()["wall"]["from"] == 3
+    view.get_by_role("button", name="The same film again").click()
+    view.get_by_label("commands that fail").press("ArrowRight")
+    assert state()["change"]["slip"] == pytest.approx(0.05)
+    assert "leave only a constant open" in says.inner_text()
+    box = canvas.nth(2).bounding_box()
+    size = (box["width"] - 14) / 12
+    at = [
+        (box["x"] + 7 + size * x, box["y"] + box["width"] - 7 - size * y)
+        for x, y in [(6, 7), (11, 5)]
+    ]
+    drag(view, *at)
+    assert state()["fresh"] == {"row": 5, "door": 6}
+    canvas.nth(2).press("ArrowRight")
+    assert state()["fresh"] == {"row": 5, "door": 7}
+    view.get_by_role("button", name="Another reward that fits").click()
+    assert "at 1.00. Its plan in the new maze scores 100 %" in says.inner_text()
+    view.get_by_text("in a hurry").click()
+    assert state()["change"]["gamma"] == 0.9
 
 
 def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):

@@ -81,18 +81,20 @@
   }
 
   // The soft-optimal policy of a reward (S) or (S·A): π = exp((Q - V)/α), in `policy` (S·A), by
-  // soft policy iteration. At a temperature α of 0 it takes one of the best actions.
-  function solve(to, reward, alpha, gamma, {guess, tolerance = 1e-11, sweeps = 200} = {}) {
+  // soft policy iteration. At a temperature α of 0 it takes one of the best actions. A share `slip`
+  // of the actions is replaced by one of all, drawn at random.
+  function solve(to, reward, alpha, gamma, {guess, tolerance = 1e-11, sweeps = 200, slip = 0} = {}) {
     const S = to.length / A, ofState = reward.length === S;
-    const q = new Float64Array(S * A), policy = new Float64Array(S * A);
+    const q = new Float64Array(S * A), policy = new Float64Array(S * A), moves = new Float64Array(S * A);
     const gain = new Float64Array(S), better = new Float64Array(S);
     let value = guess || new Float64Array(S);
     for (let sweep = 0; ; sweep++) {
       let change = 0, size = 0;
       for (let s = 0; s < S; s++) {
-        let best = -Infinity, total = 0, first = -1;
+        let best = -Infinity, total = 0, first = -1, drift = 0;
+        for (let i = s * A; i < s * A + A; i++) drift += (slip / A) * value[to[i]];
         for (let i = s * A; i < s * A + A; i++) {
-          q[i] = (ofState ? reward[s] : reward[i]) + gamma * value[to[i]];
+          q[i] = (ofState ? reward[s] : reward[i]) + gamma * ((1 - slip) * value[to[i]] + drift);
           if (q[i] > best + 1e-12) [best, first] = [q[i], i];
         }
         for (let i = s * A; i < s * A + A; i++)
@@ -101,13 +103,14 @@
         gain[s] = better[s];
         for (let i = s * A; i < s * A + A; i++) {
           policy[i] /= total;
-          gain[s] -= policy[i] * gamma * value[to[i]]; // Σ π (r - α log π)
+          moves[i] = (1 - slip) * policy[i] + slip / A;
+          gain[s] -= moves[i] * gamma * value[to[i]]; // Σ π (r - α log π)
         }
         change = Math.max(change, Math.abs(better[s] - value[s]));
         size = Math.max(size, Math.abs(better[s]));
       }
       if (change <= tolerance * size || sweep === sweeps) return {value: better, q, policy};
-      value = factors(to, policy, gamma).solve(gain);
+      value = factors(to, moves, gamma).solve(gain);
     }
   }
 

@@ -1,21 +1,31 @@
 """Write what toys compute with but cannot learn themselves.
 
-The rewards of the maze are those recorded at the paper's size, five seeds,
-on squares, each from 0 to 999.
+`tables` are the rewards of the maze, recorded at the paper's size, five
+seeds, on squares, each from 0 to 999. `networks` are the actor and critics
+of the pendulum, trained by chapter 4's own cells; each layer has 16-bit
+numbers, its weights row by row and then its biases, in units of `scale`.
 
-.venv/bin/python book/_static/toys/tables.py
+.venv/bin/python book/_static/toys/tables.py [NAME ...]
 """
 
+import base64
 import json
+import sys
 from pathlib import Path
 
+import nbformat
+import numpy as np
 import torch
+from torch import Generator, Tensor, nn
 
-from offairl_lite import tabular
+sys.path.append(str(Path(__file__).parents[2]))
+from offairl_lite import plain, tabular
 from offairl_lite.runs import records
 
 FOLDER = Path(__file__).parent
+CHAPTER = FOLDER.parents[1] / "04_sac_and_the_experts.ipynb"
 CELLS = 28
+STEPS = 5_000
 
 
 def rewards() -> list[list[int]]:
@@ -32,11 +42,54 @@ def rewards() -> list[list[int]]:
     return tables
 
 
+def trained(steps: int = STEPS) -> plain.SAC:
+    """Train SAC on the pendulum as chapter 4 does, with its first seed."""
+    names = vars(plain) | {"np": np, "Tensor": Tensor, "STEPS": steps}
+    ids = "ded6c229", "9017047a", "3a93cf83", "d114682e"
+    for cell in nbformat.read(CHAPTER, as_version=4).cells:
+        if cell.id in ids:
+            exec(cell.source, names)
+    rng = Generator().manual_seed(0)
+    sac = plain.SAC(3, 1, rng)
+    for _ in names["train"](sac, plain.update_sac, names["act"], rng):
+        pass
+    return sac
+
+
+def layers(net: nn.Module) -> list[dict]:
+    """Return a network's layers, rounded, as a toy reads them."""
+    written = []
+    for layer in net.modules():
+        if isinstance(layer, nn.Linear):
+            numbers = torch.cat([layer.weight.flatten(), layer.bias])
+            scale = numbers.abs().max().item() / (2**15 - 1)
+            units = (numbers / scale).round().detach().numpy()
+            text = base64.b64encode(units.astype("<i2").tobytes()).decode()
+            written.append({"scale": scale, "numbers": text})
+    return written
+
+
+def networks() -> dict:
+    """Return the layers of actor and critics."""
+    sac = trained()
+    critics = [layers(net) for net in sac.critic.nets]
+    return {"actor": layers(sac.actor.net), "critics": critics}
+
+
+FILES = {
+    "tables": (
+        "rewards that were learned in the maze",
+        lambda: {"cells": CELLS, "rewards": rewards()},
+    ),
+    "networks": ("chapter 4's actor and critics", networks),
+}
+
 if __name__ == "__main__":
-    content = json.dumps({"cells": CELLS, "rewards": rewards()})
-    path = FOLDER / "tables.js"
-    path.write_text(
-        "// Written by tables.py: rewards that were learned in the maze.\n"
-        f"window.toys.tables = {content};\n"
-    )
-    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+    for name in sys.argv[1:] or FILES:
+        about, compute = FILES[name]
+        path = FOLDER / f"{name}.js"
+        path.write_text(
+            f"// Written by tables.py: {about}.\n"
+            f"window.toys.{name} = {json.dumps(compute())};\n"
+        )
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")

@@ -137,6 +137,10 @@ window.toys = window.toys || (() => {
     return to;
   }
 
+  // The four arrow keys: `act(dx, dy)`, up being positive.
+  const arrowKeys = (act) => Object.fromEntries([["Left", -1, 0], ["Right", 1, 0], ["Up", 0, 1], ["Down", 0, -1]]
+    .map(([name, dx, dy]) => [`Arrow${name}`, () => act(dx, dy)]));
+
   class Toy {
     constructor(root) {
       this.root = root;
@@ -324,5 +328,5 @@ window.toys = window.toys || (() => {
   if (document.body) whenReady();
   else window.addEventListener("DOMContentLoaded", whenReady);
 
-  return {all, definitions, start, calm, element, shade, text, line, dot, star, arrow, axes};
+  return {all, definitions, start, calm, element, shade, text, line, dot, star, arrow, axes, arrowKeys};
 })();
