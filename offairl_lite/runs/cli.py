@@ -135,8 +135,8 @@ def clone(
 
     Args:
         env_id: Gymnasium id of the task.
-        out: the policy's file, such as clones/hopper.safetensors, for `watch`, `demos --policy` or
-            `run --pretrained policy --pretrained-policy`.
+        out: the policy's file, such as clones/hopper.safetensors, for `watch`, `export`, `demos
+            --policy` or `run --pretrained policy --pretrained-policy`.
         dataset: a Minari data set of your own; by default the shipped experts'.
         trajectories: how many of its episodes to use; by default all, and 50 of the experts.
         experts: how many of the shipped experts show the task, from the first on; or best.
@@ -227,28 +227,28 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
 
 
 def export(
-    run: Positional[Path],
+    source: Positional[Path],
     *,
     out: Path,
     member: int | None = None,
     env_id: str | None = None,
     step: int | None = None,
 ) -> None:
-    """Write the policies and rewards of a run for programs that know nothing of this package.
+    """Write policies, and rewards, of a run or a file for programs that do not know this package.
 
     Each is an ONNX file, if ONNX is installed, and a program of PyTorch. They take the observations
     of the task, and give and take actions in its own units. OUT/README.txt tells how to load them.
 
     Args:
-        run: the folder of a run that has ended.
+        source: the folder of a run that has ended, or a policy's file, such as a clone.
         out: the folder for the files; those of an earlier export are overwritten.
         member: which member of the population; by default every one that has not diverged.
         step: of the evaluation whose policies and rewards are written; by default those of the end.
-        env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
+        env_id: the task, my_module:MyTask-v0, where that is in a module of your own.
     """
-    for part in records.run_folders(run):
+    for part in [] if source.is_file() else records.run_folders(source):
         folders.known(part, env_id, f"export --out {out}")
-    notes = exports.export(run, out, member, step)
+    notes = exports.export(source, out, member, step, env_id)
     print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")
 

@@ -98,8 +98,8 @@ class RunSpec:
         path = Path(folder) / "config.json"
         if path.parent.is_file():
             raise ValueError(
-                f"{folder} is a file, and not the folder of a run. A policy's is for `offairl "
-                "watch`, `demos --policy` and `run --pretrained policy --pretrained-policy`, and "
+                f"{folder} is a file, and not the folder of a run. If it is a policy's, `offairl "
+                "watch` and `offairl export` take it, pretrained_policy begins with it, and "
                 "`core.rollouts.action(Policy.load(FILE), obs, env.action_space)` acts"
             )
         if not path.is_file():

@@ -240,6 +240,14 @@ def test_clones_are_policies_like_any_other(capsys, shipped_experts, elsewhere):
     assert [part.split(":")[0] for part in said[1:]] == ["seed 4", "seed 5"]
     offairl("watch clones/left.safetensors --member 1 --max-steps 2")
     assert "film.mp4: 3 frames" in capsys.readouterr().out
+    offairl("export clones/left.safetensors --out robot --member 0")
+    assert Path("robot/policy-0.pt2").is_file()
+    line = "run imitate --env-id offairl/PointMazeLeft-v0 --trajectories 2 --hidden 8 8 --seeds 0 1"
+    offairl(
+        f"{line} --pretrained policy --pretrained-policy clones/left.safetensors --prepare --out go"
+    )
+    kept = Policy.load("go/pretrained_policy.safetensors")
+    assert torch.equal(kept.params, Policy.load("clones/left.safetensors").params)
 
 
 @pytest.mark.parametrize(
