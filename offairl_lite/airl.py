@@ -65,8 +65,8 @@ class AIRL:
         chosen = {name: options.pop(name) for name in known & options.keys()}
         chosen |= {n: _several(chosen[n]) for n in inputs.CURES if n in chosen}
         recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
-        if total := options.pop("total_steps", None):
-            raise TypeError(f"total_steps is an argument of `learn`: AIRL(...).learn({total})")
+        for name in {"total_steps", "total_timesteps"} & options.keys():
+            raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
         try:
             reward = {name: options[name] for name in ("reward", "learner") if name in options}
             config = recipe.change(**reward).change(total_steps=10**9, **options)
@@ -111,12 +111,12 @@ class AIRL:
                 self._run = records.read(self.folder, self._run.rows[-1].step)
         return self._run
 
-    def learn(self, steps: int, progress: bool = True) -> "AIRL":
+    def learn(self, total_timesteps: int, progress: bool = True) -> "AIRL":
         """Take so many more steps of the task with each seed, and return the object itself.
 
         1,000 steps and then 1,000 more are the same as 2,000 at once. The first 1,000 are random.
         """
-        checked("steps", steps, Count)
+        steps = checked("total_timesteps", total_timesteps, Count)
         if (self.folder / "config.json").is_file():
             folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
         else:
@@ -143,7 +143,7 @@ class AIRL:
 
     def predict(
         self,
-        obs: np.ndarray,
+        obs: Any,
         state: None = None,
         episode_start: Any = None,
         deterministic: bool = True,
@@ -152,20 +152,19 @@ class AIRL:
     ) -> tuple[np.ndarray, None]:
         """Return actions in the task's own units, and None, as Stable-Baselines3 does.
 
-        `obs` is (O,) or (B, O). Unlike there, actions have no noise by default. They are the policy
-        of one seed's: of the first that has not diverged, unless `seed` names another.
+        `obs` is (O,) or (B, O), or a dictionary where the task's is. Unlike there, actions have no
+        noise by default. They are the policy of one seed's: of the first that has not diverged,
+        unless `seed` names another.
         """
         policy, space = self.run.policy, envs.spaces(self.config.env_id)[1]
         if policy is None:
             raise ValueError("there is no policy before the first evaluation: learn for longer")
-        noise = None
+        noise, obs = None, envs.flatten(self.config.env_id, obs)
         if not deterministic:
             noise = np.random.default_rng().standard_normal((*np.shape(obs)[:-1], *space.shape))
         return act(policy.member(self._member(seed)), obs, space, noise), None
 
-    def reward(
-        self, obs: np.ndarray, action: np.ndarray | None = None, *, seed: int | None = None
-    ) -> Any:
+    def reward(self, obs: Any, action: np.ndarray | None = None, *, seed: int | None = None) -> Any:
         """Return the learned reward of (O,), a float, or of each row of (B, O), an array (B,).
 
         Observations, and actions if the reward sees them, are in the task's own units. `seed` says
@@ -176,6 +175,7 @@ class AIRL:
             raise ValueError(f"there is no reward: {why}")
         one = self.run.reward.member(self._member(seed))
         in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
+        obs = envs.flatten(self.config.env_id, obs)
         rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")

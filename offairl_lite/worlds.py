@@ -137,8 +137,7 @@ def share(first: Discriminator, *others: Discriminator) -> None:
 
 
 def update(
-    discriminators: Sequence[Discriminator],
-    *minibatches: tuple[Transitions, Transitions, Mixing],
+    discriminators: Sequence[Discriminator], *minibatches: tuple[Transitions, Transitions, Mixing]
 ) -> Metrics:
     """Take one step down the sum of the losses of discriminators that share a reward.
 

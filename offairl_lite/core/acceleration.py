@@ -49,10 +49,8 @@ class Execution:
     def accelerate(self, step: Callable, hidden: tuple[int, ...]) -> Callable:
         """Return a function that does what `step` does, which changes tensors in place.
 
-        `hidden` are the layers of the networks that it updates.
-
-        It takes tensors, always of the same shapes, tuples of them, None and flags, and returns a
-        dictionary of tensors.
+        `hidden` are the layers of the networks that it updates. It takes tensors, always of the
+        same shapes, tuples of them, None and flags, and returns a dictionary of tensors.
         """
         if self.compile:
             # Gradients are taken inside the function that is compiled.

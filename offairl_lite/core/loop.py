@@ -8,6 +8,7 @@ one, there is no discriminator. PPO uses the same loop, but learns from the late
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,13 @@ from offairl_lite.core.experience import Experience
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.replay import Batch, make_replay
+from offairl_lite.core.replay import Batch, LogDensity, make_replay
 from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.scaling import scaling_of
-from offairl_lite.core.shapes import Layout, Metrics
+from offairl_lite.core.shapes import Layout, Metrics, Vector
 from offairl_lite.demonstrations import Demonstrations
 
 
@@ -76,7 +77,10 @@ class Trainer:
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
         earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
-        self.dims = require_match(config, self.seeds, env, *earlier)
+        with ExitStack() as undo:
+            undo.callback(env.close)
+            self.dims = require_match(config, self.seeds, env, *earlier)
+            undo.pop_all()
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
         self.demonstrations: Batch | None = None
@@ -150,12 +154,34 @@ class Trainer:
 
     def experience(self) -> Experience:
         """Return what a block of steps is trained on."""
-        replay, source = self.collector.replay, self.discriminator or self.frozen_reward
-        # π as it acted, for both of them:
+        # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
-        return Experience(
-            self.config, replay, self.demonstrations, self.normaliser, self.rng, source, log_pi
+        reward, replay, shown = (
+            partial(self.rewards, log_pi),
+            self.collector.replay,
+            self.demonstrations,
         )
+        return Experience(
+            self.config,
+            replay,
+            shown,
+            self.normaliser,
+            self.rng,
+            self.discriminator,
+            log_pi,
+            reward,
+        )
+
+    def rewards(self, log_pi: LogDensity, batch: Batch, scaled: Batch) -> Vector:
+        """Return what the learner is paid for transitions, by the variant in `config.reward`.
+
+        They come as they are in replay, and as networks see them.
+        """
+        if self.discriminator is not None:
+            return self.discriminator.reward(scaled, log_pi)
+        if self.frozen_reward is not None:
+            return self.frozen_reward(batch.obs, batch.action)  # It has a scaling of its own.
+        return batch.reward
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""

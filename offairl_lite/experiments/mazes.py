@@ -130,10 +130,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "What came before off-policy AIRL: AIRL with PPO, with r(s) and r(s, a)",
         {**base.ON_POLICY, **_OF_STATE},
         demo=_ON_POLICY_DEMO,
-        variants={
-            "state": _OF_STATE,
-            "state-action": base.REWARDS["implementation-1"],
-        },
+        variants={"state": _OF_STATE, "state-action": base.REWARDS["implementation-1"]},
     ),
     "maze-retraining": _maze(
         "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",

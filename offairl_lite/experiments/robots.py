@@ -160,14 +160,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_WHAT_DECIDES,
     ),
     "benchmark": _robot(
-        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give --trajectories",
+        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give trajectories=",
         {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_BENCHMARK,
         experts=_BEST,
     ),
     "benchmark-warm": _robot(
-        "The recipe from a clone: give --trajectories, --pretrained-policy and --only, one robot",
+        "The recipe from a clone: give trajectories=, pretrained_policy= and only=, one robot",
         {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_WARM,
@@ -190,7 +190,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         seeds=_FEW,
     ),
     "imitate": _robot(
-        "Off-policy AIRL by the recipe, on a task of your own: give --env-id and --dataset",
+        "Off-policy AIRL by the recipe, on a task of your own: give env_id= and dataset=",
         {"learning_starts": 1_000, **_RELEASED},
         demo={"train_every": 200, "eval_episodes": 10},
         experts=base.ALL_EXPERTS,

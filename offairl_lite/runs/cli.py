@@ -24,7 +24,7 @@ from offairl_lite.core.rollouts import rollout
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.minari_storage import closed_task
 from offairl_lite.runs import export as exports
-from offairl_lite.runs import folders, inputs, launch, records
+from offairl_lite.runs import folders, inputs, launch, messages, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.scale import Scale, current
@@ -40,7 +40,7 @@ def list_experiments(name: Positional[str | None] = None, *, times: bool = False
     """
     print("Experiments (offairl run NAME):")
     for title, experiment in (EXPERIMENTS if name is None else {name: find(name)}).items():
-        print(f"  {title:16} {experiment.about}")
+        print(f"  {title:16} {messages.in_options(experiment.about)}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
             runs = [config.change(**c) for c in experiment.variants.values()] or [config]
@@ -111,11 +111,11 @@ def demos(
     print(f"actions use {', '.join(f'{share:.0f}' for share in used)} % of their ranges")
     limit = envs.spec(env_id).max_episode_steps or np.inf
     if at_limit := (ended & (lengths == limit)).sum():
-        note = f"note: {at_limit} terminated in the last step of the time limit; if the limit ended"
-        print(f"{note} them, write them with terminated=False", file=sys.stderr)
+        note = f"{at_limit} terminated in the last step of the time limit; if the limit ended"
+        messages.note(f"{note} them, write them with terminated=False")
     if longer := (lengths > limit).sum():
-        note = f"note: episodes longer than the time limit of {limit} steps: {longer}; if they are"
-        print(f"{note} several in one, write them as several recordings", file=sys.stderr)
+        note = f"episodes longer than the time limit of {limit} steps: {longer}; if they are"
+        messages.note(f"{note} several in one, write them as several recordings")
 
 
 def clone(
@@ -249,7 +249,8 @@ def export(
     for part in [] if source.is_file() else records.run_folders(source):
         folders.known(part, env_id, f"export --out {out}")
     notes = exports.export(source, out, member, step, env_id)
-    print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
+    for note in notes:
+        messages.note(note)
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")
 
 
@@ -319,7 +320,7 @@ def main(args: Sequence[str] | None = None) -> None:
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
     sys.path.append(str(Path.cwd()))
     args = in_current_words(sys.argv[1:] if args is None else args)
-    with folders.one_line():
+    with messages.one_line():
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]

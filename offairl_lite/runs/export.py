@@ -78,11 +78,11 @@ def export(
     README.txt tells how to load them. Files that have these names are overwritten.
 
     Args:
-        source: a run's folder, or a policy's file, such as a clone.
+        source: a run's folder, or the file of a policy on its task, or on `env_id`.
         out: the folder for the files.
         member: which one; None for all that have not diverged.
         step: of the run's evaluation; None for its end.
-        env_id: the task of a policy's file; None for the one that it names.
+        env_id: another task than the one that a policy's file names.
 
     Returns:
         What was left out, and why.

@@ -27,10 +27,10 @@ from offairl_lite.runs.records import RunSpec, again, file_name, join, read, run
 log = logging.getLogger(__name__)
 
 CURES = {
-    "frozen_reward": "--reward frozen",
-    "pretrained_policy": "--pretrained policy",
-    "pretrained_reward": "--reward r-s",
-    "guide": "--guide-steps 50",
+    "frozen_reward": "reward='frozen'",
+    "pretrained_policy": "pretrained='policy'",
+    "pretrained_reward": "reward='r-s'",
+    "guide": "guide_steps=50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
 
@@ -60,7 +60,7 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
         if not files.get(name):
             raise ValueError(
                 f"a {name.replace('_', ' ')} of another run is needed: give "
-                f"--{name.replace('_', '-')} RUN/{file_name(kind)}, or RUN"
+                f"{name}=RUN/{file_name(kind)}, or RUN"
             )
         loaded[name] = join([load_one(path, kind) for path in files[name]])
         if name == "guide":

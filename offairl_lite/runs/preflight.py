@@ -26,6 +26,9 @@ def try_out(env_id: str, seed: int) -> list[str]:
     """
     notes = []
     with closing(envs.make(env_id, 1, [seed])) as env:
+        if names := envs.parts(env_id):
+            order = f"flattened in the order {', '.join(names)}"
+            notes.append(f"{env_id}: observations are dictionaries, {order}")
         env.reset()
         ended = _step(env, 0.5)
         try:
@@ -51,9 +54,7 @@ def check(
     """
     seen, units = envs.spaces(config.env_id)
     ones = np.ones_like(units.low)
-    env: Any = SimpleNamespace(
-        single_observation_space=seen, single_action_space=Box(-ones, ones), close=lambda: None
-    )
+    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=Box(-ones, ones))
     inherited = {
         name: networks.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")
     }
@@ -68,8 +69,8 @@ def check(
     own_data = (demos.source or {"dataset": ""})["dataset"] is not None
     if ends and own_data and config.schedule.absorbing == "none":
         notes.append(
-            f"{ends} of {len(demos)} demonstrations terminate; absorbing is none: see "
-            '"Two questions" in book/recipe.md'
+            f"{ends} of {len(demos)} demonstrations terminate; to learn that something comes after "
+            "the end, set absorbing='bootstrap' (\"Can an episode end early?\" in book/recipe.md)"
         )
     if sees_actions(config) and (np.ptp(demos.transitions.action.numpy(), axis=0) == 0).all():
         notes.append(

@@ -337,7 +337,7 @@ def beginning(folder: Path) -> Path:
     """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
-        raise NotADirectoryError(f"{existing} is no folder: choose another --out")
+        raise NotADirectoryError(f"{existing} is no folder: choose another")
     return existing
 
 

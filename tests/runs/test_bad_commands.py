@@ -12,11 +12,12 @@ import pytest
 import torch
 
 from offairl_lite import demonstrations
+from offairl_lite.config import flat_settings
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.policies import Policy, SquashedGaussian
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
-from offairl_lite.runs import cli, records
+from offairl_lite.runs import cli, messages, records
 
 MAZE, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 SMALL = (
@@ -56,66 +57,66 @@ ROWS = [
     # Settings: ranges.
     ("run maze-expert --discount 2", "discount is 2.0", "in [0, 1]"),
     ("run maze-expert --discount nan", "discount is nan", "in [0, 1]"),
-    ("run maze-expert --learning-rate 0", "learning_rate is 0.0", "above 0"),
-    ("run maze-expert --learning-rate inf", "learning_rate is inf", "above 0"),
-    ("run maze-expert --learning-rate -1e-3", "learning_rate is -0.001", "above 0"),
-    ("run maze-expert --reward-scale 0", "reward_scale is 0.0", "above 0"),
-    ("run maze-expert --reward-scale inf", "reward_scale is inf", "above 0"),
+    ("run maze-expert --learning-rate 0", "learning-rate is 0.0", "above 0"),
+    ("run maze-expert --learning-rate inf", "learning-rate is inf", "above 0"),
+    ("run maze-expert --learning-rate -1e-3", "learning-rate is -0.001", "above 0"),
+    ("run maze-expert --reward-scale 0", "reward-scale is 0.0", "above 0"),
+    ("run maze-expert --reward-scale inf", "reward-scale is inf", "above 0"),
     ("run maze-expert --temperature 0", "temperature is 0.0", "above 0"),
     ("run maze-expert --temperature nan", "temperature is nan", "above 0"),
-    ("run maze-expert --target-entropy nan", "target_entropy is nan", "a number"),
-    ("run maze-expert --target-rate 1.5", "target_rate is 1.5", "in [0, 1]"),
-    ("run maze-expert --random-hold nan", "random_hold is nan", "at least 1"),
-    ("run maze-expert --random-hold inf", "random_hold is inf", "at least 1"),
-    ("run maze-expert --random-hold 0.5", "random_hold is 0.5", "at least 1"),
-    ("run maze-expert --learning-starts 0", "learning_starts is 0", "at least 1"),
+    ("run maze-expert --target-entropy nan", "target-entropy is nan", "a number"),
+    ("run maze-expert --target-rate 1.5", "target-rate is 1.5", "in [0, 1]"),
+    ("run maze-expert --random-hold nan", "random-hold is nan", "at least 1"),
+    ("run maze-expert --random-hold inf", "random-hold is inf", "at least 1"),
+    ("run maze-expert --random-hold 0.5", "random-hold is 0.5", "at least 1"),
+    ("run maze-expert --learning-starts 0", "learning-starts is 0", "at least 1"),
     (
         "run maze-expert --learning-starts 17000",
-        "learning_starts is 17000",
-        "lower learning_starts",
+        "learning-starts is 17000",
+        "lower --learning-starts",
     ),
-    ("run maze-expert --total-steps 0", "total_steps is 0", "at least 1"),
-    ("run maze-expert --total-steps -5", "total_steps is -5", "at least 1"),
-    ("run maze-expert --batch-size 0", "batch_size is 0", "at least 1"),
-    ("run maze-expert --replay-size 0", "replay_size is 0", "at least 1"),
-    ("run maze-expert --eval-every 0", "eval_every is 0", "at least 1"),
-    ("run maze-expert --eval-episodes 0", "eval_episodes is 0", "at least 1"),
-    ("run maze-expert --train-every 0", "train_every is 0", "at least 1"),
-    ("run maze-expert --train-every 99999", "train_every is 99999", "lower train_every"),
+    ("run maze-expert --total-steps 0", "total-steps is 0", "at least 1"),
+    ("run maze-expert --total-steps -5", "total-steps is -5", "at least 1"),
+    ("run maze-expert --batch-size 0", "batch-size is 0", "at least 1"),
+    ("run maze-expert --replay-size 0", "replay-size is 0", "at least 1"),
+    ("run maze-expert --eval-every 0", "eval-every is 0", "at least 1"),
+    ("run maze-expert --eval-episodes 0", "eval-episodes is 0", "at least 1"),
+    ("run maze-expert --train-every 0", "train-every is 0", "at least 1"),
+    ("run maze-expert --train-every 99999", "train-every is 99999", "lower --train-every"),
     ("run maze-expert --hidden 8 0", "hidden is (8, 0)", "at least 1"),
     ("run maze-expert --hidden -1", "hidden is (-1,)", "at least 1"),
     ("run maze-expert --primitives 0", "primitives is 0", "at least 1"),
-    ("run maze-expert --log-std-range 2 -5", "log_std_range is (2.0, -5.0)", "in ascending order"),
+    ("run maze-expert --log-std-range 2 -5", "log-std-range is (2.0, -5.0)", "in ascending order"),
     ("run maze-expert --log-std-range 2", "--log-std-range"),
-    ("run maze-imitation --gradient-penalty nan", "gradient_penalty is nan", "at least 0"),
-    ("run maze-imitation --gradient-penalty -1", "gradient_penalty is -1.0", "at least 0"),
-    ("run maze-imitation --reward-sees 0 0", "reward_sees is (0, 0)", "none twice"),
-    ("run maze-imitation --reward-sees", "reward_sees is ()", "or None"),
-    ("run maze-imitation --reward-sees -1", "reward_sees is (-1,)", "at least 0"),
-    ("run maze-imitation --reward-sees 9", "reward_sees is (9,)", "indices from 0 to 2"),
-    ("run maze-imitation --discriminator-updates 0", "discriminator_updates is 0", "at least 1"),
-    ("run maze-imitation --discriminator-discount 2", "discriminator_discount is 2.0", "[0, 1]"),
-    ("run maze-imitation --guide-steps -10", "guide_steps is -10", "at least 0"),
-    ("run maze-imitation --guide-steps 99999", "guide_steps is 99999", "learning_starts"),
+    ("run maze-imitation --gradient-penalty nan", "gradient-penalty is nan", "at least 0"),
+    ("run maze-imitation --gradient-penalty -1", "gradient-penalty is -1.0", "at least 0"),
+    ("run maze-imitation --reward-sees 0 0", "reward-sees is (0, 0)", "none twice"),
+    ("run maze-imitation --reward-sees", "reward-sees is ()", "or None"),
+    ("run maze-imitation --reward-sees -1", "reward-sees is (-1,)", "at least 0"),
+    ("run maze-imitation --reward-sees 9", "reward-sees is (9,)", "indices from 0 to 2"),
+    ("run maze-imitation --discriminator-updates 0", "discriminator-updates is 0", "at least 1"),
+    ("run maze-imitation --discriminator-discount 2", "discriminator-discount is 2.0", "[0, 1]"),
+    ("run maze-imitation --guide-steps -10", "guide-steps is -10", "at least 0"),
+    ("run maze-imitation --guide-steps 99999", "guide-steps is 99999", "learning-starts"),
     # Settings that do not go together.
-    ("run maze-imitation --learner td3", "needs log π", "use learner='sac'"),
-    ("run maze-imitation --learner ppo --temperature 1", "train_every is None", "set it"),
+    ("run maze-imitation --learner td3", "needs log π", "use --learner sac"),
+    ("run maze-imitation --learner ppo --temperature 1", "train-every is None", "set it"),
     ("run maze-imitation --reward gan-gcl", "GAN-GCL is a page now", "another reward"),
-    ("run maze-expert --absorbing bootstrap", "absorbing='bootstrap'", "set absorbing='none'"),
-    ("run maze-imitation --no-log-prob-in-reward", "log_prob_in_reward=False", "it is for"),
+    ("run maze-expert --absorbing bootstrap", "--absorbing bootstrap", "set --absorbing none"),
+    ("run maze-imitation --no-log-prob-in-reward", "--no-log-prob-in-reward", "it is for"),
     ("run maze-expert --loss exact", "loss has no use", "leave it out"),
     ("run maze-expert --ablation one-sided", "one-sided", "leave it out"),
     ("run maze-imitation --bottleneck 0.1", "bottleneck has no use", "leave it out"),
-    ("run maze-expert --fixed-primitives", "fixed_primitives=True", "set primitives"),
-    ("run maze-expert --pretrained primitives", "pretrained='primitives'", "set primitives"),
+    ("run maze-expert --fixed-primitives", "--fixed-primitives", "set primitives"),
+    ("run maze-expert --pretrained primitives", "--pretrained primitives", "set primitives"),
     (
         "run maze-expert --learner td3 --temperature 0.2",
-        "temperature has no use with learner='td3'",
+        "temperature has no use with --learner td3",
         "leave it out",
     ),
     (
         "run maze-imitation --absorbing analytic --discount 1",
-        "absorbing='analytic' divides by 1 - discount",
+        "--absorbing analytic divides by 1 - discount",
         "below 1",
     ),
     # Grids and several runs.
@@ -132,7 +133,7 @@ ROWS = [
     ("run maze-expert --grid learner=sac,dqn", "learner is 'dqn'", "td3"),
     ("run maze-expert --only foo", "no runs ['foo']", "none, since the experiment is one run"),
     ("run experts --only foo", "no runs ['foo']; there are: ", "Hopper-td3"),
-    ("run locomotion --env-id Pendulum-v1", "sets env_id itself", "--grid", "--only"),
+    ("run locomotion --env-id Pendulum-v1", "sets --env-id itself", "--grid", "--only"),
     # Seeds, processes, devices.
     ("run maze-expert --seeds", "seeds are ()", "at least one"),
     ("run maze-expert --seeds -1", "seeds", "-1", "0"),
@@ -163,25 +164,25 @@ ROWS = [
     ("resume used", "no run in", "used"),
     ("resume file", "file is a file, and not the folder of a run", "offairl watch"),
     ("resume done --steps 50", "reached step 100; it cannot end at 50", "--steps N"),
-    ("resume done --steps 0", "total_steps is 0", "at least 1"),
+    ("resume done --steps 0", "--steps is 0", "at least 1"),
     ("resume done --steps many", "--steps", "many"),
     ("resume done --seeds 1", "seeds [1] are not all new", "[0, 1]"),
     ("resume done --seeds -4", "seeds", "-4", "0"),
     ("resume done --seeds 5 5", "not all new"),
     ("resume damaged", "curve.csv is damaged", "bring all of damaged back"),
-    ("resume done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
+    ("resume done --env-id Hopper-v5", "env-id is 'Hopper-v5'", MAZE),
     ("resume strange", "no module is imported", "`offairl resume strange --env-id evil:Evil-v0`"),
-    ("resume strange --env-id other:Evil-v0", "env_id is 'other:Evil-v0'", "evil:Evil-v0"),
+    ("resume strange --env-id other:Evil-v0", "env-id is 'other:Evil-v0'", "evil:Evil-v0"),
     ("resume strange --env-id evil:Evil-v0", "No module named 'evil'", "PYTHONPATH"),
     ("resume strange --steps 300", "no module is imported", "--env-id evil:Evil-v0"),
     ("verify nowhere", "no run in", "nowhere"),
-    ("verify done --env-id Hopper-v5", "env_id is 'Hopper-v5'", MAZE),
+    ("verify done --env-id Hopper-v5", "env-id is 'Hopper-v5'", MAZE),
     ("export strange --out files", "no module is imported", "--env-id evil:Evil-v0`"),
     ("verify strange", "no module is imported", "`offairl verify strange --env-id evil:Evil-v0`"),
     ("verify damaged", "curve.csv is damaged", "bring all of damaged back"),
     ("tensorboard nowhere", "no run in", "nowhere"),
     # Tasks.
-    ("run imitate --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'", "--env-id my_module:"),
+    ("run imitate --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'", "my_module:Nowhere-v0"),
     ("run maze-expert --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
     ("run maze-expert --env-id nomodule:Arm-v0", "nomodule"),
     ("run maze-expert --env-id CartPole-v1", "CartPole-v1: the action space", "Box"),
@@ -247,8 +248,8 @@ ROWS = [
     ("watch done --out film.gif", "out is film.gif", "--out film.mp4"),
     ("watch done --env-id Hopper-v5", "3", "11"),
     ("watch done --env-id Nowhere-v0", "unknown environment 'Nowhere-v0'"),
-    ("watch done --max-steps 0", "max_steps is 0", "at least 1"),
-    ("watch done --max-steps -3", "max_steps is -3", "at least 1"),
+    ("watch done --max-steps 0", "max-steps is 0", "at least 1"),
+    ("watch done --max-steps -3", "max-steps is -3", "at least 1"),
     ("watch done --max-steps some", "--max-steps", "some"),
 ]
 
@@ -314,6 +315,8 @@ def test_a_command_that_makes_no_sense_is_answered(line, words, place, capsys):
     else:
         assert stop.value.code == 2
         said = " ".join(re.sub(r"[│╭╮╰╯─]", " ", out + err).split())
+    names_of = {*messages.OTHERS, *flat_settings()}
+    assert not names_of & set(re.findall(r"[a-z]+(?:_[a-z]+)+(?!\.s)", said)), said
     for word in words:
         assert word in said
     assert not re.search("Errno|Traceback|KeyError|TypeError|dummy|Annotated", said)
