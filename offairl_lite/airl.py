@@ -63,7 +63,9 @@ class AIRL:
             raise ValueError("seeds are (); expected at least one")
         known = {field.name for field in fields(RunInputs)}
         chosen = {name: options.pop(name) for name in known & options.keys()}
-        chosen |= {n: _several(chosen[n]) for n in inputs.CURES if n in chosen}
+        for name in inputs.CURES.keys() & chosen:
+            several = isinstance(chosen[name], list | tuple)
+            chosen[name] = tuple(chosen[name]) if several else (chosen[name],)
         recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
         for name in {"total_steps", "total_timesteps"} & options.keys():
             raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
@@ -121,13 +123,13 @@ class AIRL:
             folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
         else:
             config = self.config.change(total_steps=steps)
-            spec = records.RunSpec(
-                config,
-                self.seeds,
-                asdict(self.run_inputs.execution(config)),
+            shown, execution = (
                 inputs.describe(self.demonstrations),
-                CHECKPOINT_EVERY,
-                inherited=inputs.inherited(self.inherited, self.run_inputs.files, None),
+                self.run_inputs.execution(config),
+            )
+            began = inputs.inherited(self.inherited, self.run_inputs.files, None)
+            spec = records.RunSpec(
+                config, self.seeds, asdict(execution), shown, CHECKPOINT_EVERY, inherited=began
             )
             folders.create(self.folder, spec, self.inherited, self.demonstrations)
         self._run = None
@@ -217,7 +219,3 @@ class AIRL:
         checkpoints.copy(Path(path), self.folder)
         self.demonstrations = None  # Whoever only acts, or asks for rewards, needs none.
         return self
-
-
-def _several(files: Any) -> tuple:
-    return tuple(files) if isinstance(files, list | tuple) else (files,)

@@ -65,10 +65,8 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     bounds = [*np.flatnonzero(starts | (np.arange(steps) == 0)), steps]
     recordings, dropped = [], 0
     for begin, end in pairwise(bounds):
-        obs, ended = (
-            rows["obs"][begin:end],
-            "terminated" in rows and bool(rows["terminated"][end - 1]),
-        )
+        obs = rows["obs"][begin:end]
+        ended = "terminated" in rows and bool(rows["terminated"][end - 1])
         if "next_obs" in rows:
             obs = np.concatenate([obs, rows["next_obs"][end - 1 : end]])
         else:

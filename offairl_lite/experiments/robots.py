@@ -13,14 +13,8 @@ ANT, DISABLED = "offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"
 # Members end their episodes at different times, so they train every 1,000 steps.
 _FULL = CORRECTED.change(train_every=1_000)
 
-_DEMO = _FULL.change(
-    total_steps=20_000,
-    hidden=(64, 64),
-    reward_hidden=(64, 64),
-    shaping_hidden=(64, 64),
-    eval_every=2_000,
-    eval_episodes=2,
-)
+_SMALL = dict.fromkeys(("hidden", "reward_hidden", "shaping_hidden"), (64, 64))
+_DEMO = _FULL.change(total_steps=20_000, eval_every=2_000, eval_episodes=2, **_SMALL)
 
 # Demonstrations of the experts that there were when the records were made: one, and later two.
 _robot = partial(experiment, {"demo": _DEMO, "full": _FULL}, experts={"demo": 1, "full": 2})
@@ -127,14 +121,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "hopper-absorbing": _robot(
         "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
         {**_HOPPER, **_DAC},
-        demo={
-            "total_steps": 12_000,
-            "learning_starts": 2_000,
-            "train_every": 250,
-            "batch_size": 64,
-            "temperature": None,
-            "target_rate": 0.01,
-        },
+        demo={"total_steps": 12_000, "learning_starts": 2_000, "train_every": 250, "batch_size": 64}
+        | {"temperature": None, "target_rate": 0.01},
         # What the end of an episode is worth to an imitator: each reward, with each way to go on.
         variants=crossed(
             {name: base.REWARDS[name] for name in ("dac", "implementation-4")},

@@ -153,12 +153,8 @@ class _Worker:
         past = status.get("continued", [])
         if news := records.changed([status, *past][-1], now):
             if news.keys() != {"commit"}:
-                changes = "; ".join(
-                    f"{key}: {here}, before {was}" for key, (was, here) in news.items()
-                )
-                log.warning(
-                    "%s goes on from step %d with other %s", self.folder, self.step, changes
-                )
+                changes = "; ".join(f"{key}: {b}, before {a}" for key, (a, b) in news.items())
+                log.warning(f"{self.folder} goes on from step {self.step} with other {changes}")
             status["continued"] = [*past, {"step": self.step, **now}]
             write_json(self.folder / "run.json", status)
 

@@ -221,15 +221,9 @@ def _create(
             if len(some) < len(seeds):
                 folder, members = folder / seeds_name(some), [seeds.index(seed) for seed in some]
                 mine = {name: network.member(*members) for name, network in networks.items()}
+            shown, began = inputs.describe(demos), inputs.inherited(mine, run_inputs.files, members)
             spec = RunSpec(
-                config,
-                some,
-                asdict(execution),
-                inputs.describe(demos),
-                CHECKPOINT_EVERY,
-                experiment,
-                scale,
-                inputs.inherited(mine, run_inputs.files, members),
+                config, some, asdict(execution), shown, CHECKPOINT_EVERY, experiment, scale, began
             )
             todo.append((folder, spec, mine))
     checkpoints.require_room(place, sum(checkpoints.disk_space(spec) for _, spec, _ in todo))

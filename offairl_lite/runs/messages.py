@@ -55,7 +55,7 @@ def _option(match: re.Match) -> str:
 @contextmanager
 def _in_options() -> Iterator[None]:
     """Let warnings and the log name options, too."""
-    formatter, form = logging.Formatter(), warnings.formatwarning
+    form, formatter = warnings.formatwarning, logging.Formatter()
     formatter.format = lambda record: in_options(record.getMessage())  # type: ignore[method-assign]
     warnings.formatwarning = lambda *about, **line: in_options(form(*about, **line))
     last = logging.lastResort or logging.NullHandler()

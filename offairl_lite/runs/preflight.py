@@ -17,6 +17,7 @@ from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.runs import inputs
 
 
 def try_out(env_id: str, seed: int) -> list[str]:
@@ -48,21 +49,16 @@ def try_out(env_id: str, seed: int) -> list[str]:
 def check(
     config: Config, seeds: Sequence[int], demos: Demonstrations | None, networks: Mapping[str, Any]
 ) -> list[str]:
-    """Return what a user should know of a run on `shown` and `things` of other runs.
+    """Return what a user should know of a run on `demos` and `networks` of other runs.
 
     ValueError says what does not fit. The task is not made for that, if it was tried out.
     """
     seen, units = envs.spaces(config.env_id)
     ones = np.ones_like(units.low)
     env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=Box(-ones, ones))
-    inherited = {
-        name: networks.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")
-    }
-    require_inputs(config, seeds, demos, **inherited)
-    frozen, policy, guide = inherited.values()
-    require_match(
-        config, seeds, env, demos, frozen, policy, networks.get("pretrained_reward"), guide
-    )
+    frozen, policy, reward, guide = map(networks.get, inputs.CURES)
+    require_inputs(config, seeds, demos, frozen, policy, guide)
+    require_match(config, seeds, env, demos, frozen, policy, reward, guide)
     if demos is None:
         return []
     notes, ends = [], int(demos.transitions.terminated.sum())

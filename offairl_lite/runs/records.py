@@ -46,20 +46,17 @@ from offairl_lite.core.rewards import Reward
 
 FORMAT = 3
 """Of run folders; it changes when older ones can no longer be read."""
-
 METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
     *("temperature", "entropy", "excess", "multiplier"),
 )
 """Diagnostics of the last update before an evaluation. New ones are added at the end, so that older
 curves can still be read."""
-
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
 
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 """What `run.json` has as the state of a run that is not gone on with."""
-
 PICTURE = "curve.png"
 
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
