@@ -154,9 +154,14 @@ class AIRL:
     ) -> tuple[np.ndarray, None]:
         """Return actions in the task's own units, and None, as Stable-Baselines3 does.
 
-        `obs` is (O,) or (B, O), or a dictionary where the task's is. Unlike there, actions have no
-        noise by default. They are the policy of one seed's: of the first that has not diverged,
-        unless `seed` names another.
+        Args:
+            obs: (O,) or (B, O), or a dictionary where the task's is.
+            state: not used, as is `episode_start`.
+            deterministic: whether actions have no noise: the default here, unlike there.
+            seed: whose policy acts; by default that of the first that has not diverged.
+
+        Raises:
+            ValueError: nothing is learned yet, there is no such seed, or `obs` does not fit.
         """
         policy, space = self.run.policy, envs.spaces(self.config.env_id)[1]
         if policy is None:
@@ -169,8 +174,13 @@ class AIRL:
     def reward(self, obs: Any, action: np.ndarray | None = None, *, seed: int | None = None) -> Any:
         """Return the learned reward of (O,), a float, or of each row of (B, O), an array (B,).
 
-        Observations, and actions if the reward sees them, are in the task's own units. `seed` says
-        whose reward, as in `predict`.
+        Args:
+            obs: in the task's own units, or a dictionary where the task's is.
+            action: what is done there, if the reward sees actions, in the task's own units.
+            seed: whose reward, as in `predict`.
+
+        Raises:
+            ValueError: no reward is learned, there is no such seed, or shapes do not fit.
         """
         if self.run.reward is None:
             why = inputs.why_no_reward(self.config) or "none is learned yet"
@@ -202,7 +212,10 @@ class AIRL:
     ) -> "AIRL":
         """Return a copy of what was saved, or of any other run folder.
 
-        A task of one's own, a function, an environment or an id with a module, is given again.
+        Args:
+            path: the folder.
+            env: the task again, if it is one of your own: an object, or an id with a module.
+            folder: where the copy goes on, as for a new model.
         """
         spec = records.RunSpec.read(path)
         needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id

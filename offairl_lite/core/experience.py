@@ -46,7 +46,7 @@ class Experience:
         rng: draws the minibatches.
         discriminator: what the minibatches of both sides are for, if a reward is learned.
         log_density: log π of scaled transitions, as it was when the block began.
-        reward: what the learner is paid (`Trainer.rewards`).
+        reward: what the learner is paid (`loop.rewards`).
     """
 
     config: Config

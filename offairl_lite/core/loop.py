@@ -23,7 +23,7 @@ from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
-from offairl_lite.core.discriminator import make_discriminator
+from offairl_lite.core.discriminator import Discriminator, make_discriminator
 from offairl_lite.core.experience import Experience
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
@@ -42,13 +42,25 @@ class Stop(Exception):
     """Raised by a callback: the run ends here, with what is there."""
 
 
+def rewards(
+    discriminator: Discriminator | None,
+    frozen: Reward | None,
+    log_pi: LogDensity,
+    batch: Batch,
+    scaled: Batch,
+) -> Vector:
+    """Return what the learner is paid for transitions, as in replay and as networks see them."""
+    if discriminator is not None:
+        return discriminator.reward(scaled, log_pi)
+    # A frozen reward has a scaling of its own.
+    return batch.reward if frozen is None else frozen(batch.obs, batch.action)
+
+
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
-    The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
-    goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `guide_steps`; what is learned may begin with an earlier
-    reward. Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps.
+    Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps. For all
+    other arguments see `train`.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -156,32 +168,11 @@ class Trainer:
         """Return what a block of steps is trained on."""
         # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
-        reward, replay, shown = (
-            partial(self.rewards, log_pi),
-            self.collector.replay,
-            self.demonstrations,
-        )
+        reward, rng = partial(rewards, self.discriminator, self.frozen_reward, log_pi), self.rng
+        replay, shown = self.collector.replay, self.demonstrations
         return Experience(
-            self.config,
-            replay,
-            shown,
-            self.normaliser,
-            self.rng,
-            self.discriminator,
-            log_pi,
-            reward,
+            self.config, replay, shown, self.normaliser, rng, self.discriminator, log_pi, reward
         )
-
-    def rewards(self, log_pi: LogDensity, batch: Batch, scaled: Batch) -> Vector:
-        """Return what the learner is paid for transitions, by the variant in `config.reward`.
-
-        They come as they are in replay, and as networks see them.
-        """
-        if self.discriminator is not None:
-            return self.discriminator.reward(scaled, log_pi)
-        if self.frozen_reward is not None:
-            return self.frozen_reward(batch.obs, batch.action)  # It has a scaling of its own.
-        return batch.reward
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
@@ -361,11 +352,23 @@ def train(
     progress: bool = True,
     on_evaluation: Callable[[list[Row]], None] | None = None,
 ) -> Run:
-    """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
+    """Train a population from beginning to end, in memory.
 
-    `on_evaluation` is called after each evaluation with a row for each member, for logging; to end
-    early with what is there, it raises `Stop`. `progress` shows a bar. PyTorch's threads are those
-    of `execution` until the end.
+    The same seeds give the same run on the same machine. PyTorch's threads are those of `execution`
+    until the end.
+
+    Args:
+        config: what the run is.
+        seeds: one for each member.
+        demonstrations: of its task, where a reward is learned.
+        frozen_reward: what pays, where `config.reward` is frozen.
+        pretrained_policy: what actors begin with, where `config.pretrained` says so.
+        pretrained_reward: what the learned reward begins with, if that is an earlier one.
+        guide: who acts at the start of episodes, where there are `guide_steps`.
+        execution: where, and how, it is computed.
+        progress: whether a bar is shown.
+        on_evaluation: is called after each evaluation with a row for each member, for logging; to
+            end early with what is there, it raises `Stop`.
     """
 
     def on_advance(rows: list[Row]) -> None:

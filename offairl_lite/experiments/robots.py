@@ -13,8 +13,7 @@ ANT, DISABLED = "offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"
 # Members end their episodes at different times, so they train every 1,000 steps.
 _FULL = CORRECTED.change(train_every=1_000)
 
-_SMALL = dict.fromkeys(("hidden", "reward_hidden", "shaping_hidden"), (64, 64))
-_DEMO = _FULL.change(total_steps=20_000, eval_every=2_000, eval_episodes=2, **_SMALL)
+_DEMO = _FULL.change(total_steps=20_000, eval_every=2_000, eval_episodes=2, **base.SMALL)
 
 # Demonstrations of the experts that there were when the records were made: one, and later two.
 _robot = partial(experiment, {"demo": _DEMO, "full": _FULL}, experts={"demo": 1, "full": 2})

@@ -327,18 +327,10 @@ def main(args: Sequence[str] | None = None) -> None:
         name = next((arg for arg in free if arg in EXPERIMENTS), "imitate")
         scale = dict(pairwise(args)).get("--scale")
         size: Scale = "full" if scale == "full" else "demo" if scale == "demo" else current()
-        commands: dict[str, Callable[..., Any]] = {
-            "list": list_experiments,
-            "run": launch.run_command(name, size),
-            "resume": launch.resume,
-            "demos": demos,
-            "clone": clone,
-            "watch": watch,
-            "tensorboard": tensorboard,
-            "export": export,
-            "verify": verify,
-            "bench": bench,
-        }
+        commands: dict[str, Callable[..., Any]] = {"list": list_experiments}
+        commands |= {"run": launch.run_command(name, size), "resume": launch.resume}
+        others = demos, clone, watch, tensorboard, export, verify, bench
+        commands |= {command.__name__: command for command in others}
         tyro.extras.subcommand_cli_from_dict(
             commands, prog="offairl", description=inspect.getdoc(main), args=args
         )

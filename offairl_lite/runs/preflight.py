@@ -54,8 +54,8 @@ def check(
     ValueError says what does not fit. The task is not made for that, if it was tried out.
     """
     seen, units = envs.spaces(config.env_id)
-    ones = np.ones_like(units.low)
-    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=Box(-ones, ones))
+    scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))
+    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=scaled)
     frozen, policy, reward, guide = map(networks.get, inputs.CURES)
     require_inputs(config, seeds, demos, frozen, policy, guide)
     require_match(config, seeds, env, demos, frozen, policy, reward, guide)
