@@ -15,6 +15,7 @@ from offairl_lite.core.rollouts import action
 from offairl_lite.demonstrations import Recording
 from offairl_lite.learned_reward import LearnedReward
 from offairl_lite.runs import folders, pictures, records
+from offairl_lite.runs.export import export
 
 SMALL = {
     "learning_starts": 20,
@@ -364,6 +365,10 @@ def test_dictionaries_of_observations_are_flattened(caplog, minari_folder, tmp_p
         np.testing.assert_allclose(use(as_parts(obs[1])), use(flat(obs))[1], rtol=1e-5)
     model.save(tmp_path / "goal")
     same(AIRL.load(tmp_path / "goal", goal), model)
+    export(tmp_path / "goal", tmp_path / "out", member=0)
+    assert "as the task gives them, in the order a, b, c." in (
+        (tmp_path / "out/README.txt").read_text()
+    )
     assert model.predict(gymnasium.make(model.config.env_id).reset(seed=0)[0])[0].shape == (2,)
     demonstrations.generate(
         lambda obs: controller(np.concatenate([obs["a"], obs["b"]])),

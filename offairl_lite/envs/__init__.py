@@ -194,9 +194,7 @@ def parts(env_id: str) -> list[str]:
 
 
 def flatten(task: str | Space, obs: Any) -> Any:
-    """Return observations as networks see them: the parts of a dictionary one after another.
-
-    Their order is that of the task's `observation_space`, which Gymnasium sorts by name.
+    """Return observations as networks see them: parts of a dictionary in the order of its space.
 
     Args:
         task: its id, or the space of its observations.

@@ -23,10 +23,10 @@ from offairl_lite.runs import inputs, records
 ABOUT = """\
 From {source}, trained on {env_id}.
 
-{members}
+{each}
 
-Arrays are float32, with any number of rows. Observations are as the task gives them. Actions are in
-its own units, from {low} to {high}.
+Arrays are float32, with any number of rows. Observations are as the task gives them{order}. Actions
+are in its own units, from {low} to {high}.
 """
 ONNX = """
 The {kind}, with ONNX Runtime:
@@ -43,6 +43,8 @@ The {kind}, with PyTorch:
     {gives} = program({tensors})
 """
 ABSORBING = "\nWhere an episode terminates, add {rest:.6g} to reward-{i}, at a discount of 0.99.\n"
+GIVES = {"policy": "action", "reward": "reward"}
+"""What the output of each is called."""
 
 
 class InUnits(torch.nn.Module):
@@ -98,6 +100,9 @@ def export(
         inputs.load_one(source, Policy)  # It says what to do.
     env_id = run.config.env_id
     box, space = envs.spaces(env_id)
+    if run.policy is not None:
+        require_actions(run.policy, space)
+        run.policy.act(torch.zeros(1, 1, *box.shape))  # It says whether observations fit.
     instructions = ONNX + TORCH
     if find_spec("onnxscript") is None:
         instructions = TORCH
@@ -108,19 +113,14 @@ def export(
     }
     lines = "\n".join(f"Member {i}{ends.get(run.seeds[i], '')}" for i in members)
     low, high = space.low.tolist(), space.high.tolist()
-    text = ABOUT.format(source=source, env_id=env_id, members=lines, low=low, high=high)
+    order = f", in the order {', '.join(parts)}" if (parts := envs.parts(env_id)) else ""
+    text = ABOUT.format(source=source, env_id=env_id, each=lines, order=order, low=low, high=high)
     out.mkdir(parents=True, exist_ok=True)
-    for kind, gives, network in (
-        ("policy", "action", run.policy),
-        ("reward", "reward", run.reward),
-    ):
+    for kind, network in (("policy", run.policy), ("reward", run.reward)):
         if network is None:
             why = (kind == "reward" and without) or "its file is not there"
             notes.append(f"{source} has no {kind} to export: {why}")
             continue
-        if isinstance(network, Policy):
-            require_actions(network, space)
-            network.act(torch.zeros(1, 1, *box.shape))  # It says whether observations fit.
         sizes = {"obs": box.shape[0], "action": space.shape[0]}
         if isinstance(network, Policy) or network.state_only:
             del sizes["action"]
@@ -129,13 +129,12 @@ def export(
             rest = 99 * network(absorbing, torch.zeros(len(network), 1, space.shape[0]))[:, 0]
             text += "".join(ABSORBING.format(i=i, rest=rest[i].item()) for i in members)
         for i in members:
-            _write(network.member(i), space, sizes, gives, out / f"{kind}-{i}")
+            _write(network.member(i), space, sizes, GIVES[kind], out / f"{kind}-{i}")
         arrays = ", ".join(f'"{name}": np.zeros((1, {n}), np.float32)' for name, n in sizes.items())
         tensors = ", ".join(f"torch.zeros(1, {n})" for n in sizes.values())
         file = f"{kind}-{members[0]}"
-        text += instructions.format(
-            kind=kind, file=file, gives=gives, arrays=arrays, tensors=tensors
-        )
+        names = {"kind": kind, "file": file, "gives": GIVES[kind]}
+        text += instructions.format(**names, arrays=arrays, tensors=tensors)
     (out / "README.txt").write_text(text, "utf-8")
     return notes
 

@@ -20,10 +20,10 @@ from offairl_lite.config import flat_settings
 from offairl_lite.runs import jobs
 
 OTHERS = """
-address against dataset device engine eval_episodes experts frozen_reward grid guide max_steps
-member only out policy populations prepare pretrained_policy pretrained_reward processes rounds
-scale seconds seeds step steps subsample threads times trajectories absorbing_state compile env_id
-follow json seed hidden
+absorbing_state address against compile dataset device engine env_id eval_episodes experts follow
+frozen_reward grid guide hidden json max_steps member only out policy populations prepare
+pretrained_policy pretrained_reward processes rounds scale seconds seed seeds step steps subsample
+threads times trajectories
 """.split()  # noqa: SIM905
 """The options that are no settings of a run."""
 
