@@ -16,7 +16,7 @@ import torch
 from offairl_lite import demonstrations as data
 from offairl_lite import envs
 from offairl_lite.config import flat_settings
-from offairl_lite.config.settings import Count, Natural, checked
+from offairl_lite.config.settings import EARLIER, Count, Natural, checked
 from offairl_lite.core.results import Run
 from offairl_lite.core.rollouts import action as act
 from offairl_lite.experiments import find
@@ -69,20 +69,17 @@ class AIRL:
         recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
         for name in {"total_steps", "total_timesteps"} & options.keys():
             raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
-        try:
-            reward = {name: options[name] for name in ("reward", "learner") if name in options}
-            config = recipe.change(**reward).change(total_steps=10**9, **options)
-        except ValueError as error:
-            for name in options if "no setting" in str(error) else ():
-                names = known | flat_settings().keys() | {"seeds", "folder"}
-                near = get_close_matches(name, names, 1, 0)
-                if name not in flat_settings():
-                    why = f"AIRL has no option {name!r}; did you mean {near[0]!r}?"
-                    raise TypeError(why) from None
-            raise
+        names = known | flat_settings().keys() | EARLIER.keys() | {"seeds", "folder"}
+        for name in options.keys() - names:
+            near = get_close_matches(name, names, 1) or ["one of `offairl run imitate --help`"]
+            raise TypeError(f"AIRL has no option {name!r}; did you mean {near[0]}?")
+        reward = {name: options[name] for name in ("reward", "learner") if name in options}
+        config = recipe.change(**reward).change(total_steps=10**9, **options)
         self.config = config.change(env_id=envs.register(env))
         notes = preflight.try_out(self.config.env_id, self.seeds[0])
         self.run_inputs, episodes = RunInputs(**chosen), demonstrations
+        self.run_inputs.require_use([config], RunInputs())
+        self.run_inputs.execution(config)  # It says what this machine cannot do.
         few = chosen.get("trajectories"), self.run_inputs.subsample, self.run_inputs.experts
         if config.imitates:
             episodes = self.run_inputs.dataset if episodes is None else episodes
@@ -188,7 +185,8 @@ class AIRL:
         one = self.run.reward.member(self._member(seed))
         in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
         obs = envs.flatten(self.config.env_id, obs)
-        rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
+        parts = (obs,) if action is None else (obs, action)
+        rows = [np.asarray(x, np.float32) for x in parts]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
         values = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))

@@ -1,5 +1,6 @@
 """The class that a user meets first."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
@@ -233,6 +234,13 @@ def test_demonstrations_come_in_many_forms(given, task):
     assert shown.transitions.terminated.sum() == ends
 
 
+@pytest.mark.parametrize("kind", [str, Path])
+def test_flat_arrays_may_be_a_file(kind, task, tmp_path):
+    np.savez(tmp_path / "arm.npz", **FLAT)
+    shown = demonstrations.of(kind(tmp_path / "arm.npz"), task)
+    assert torch.equal(shown.transitions.obs, demonstrations.of(FLAT, task).transitions.obs)
+
+
 def test_demonstrations_by_name_and_of_a_policy(task, model, minari_folder):
     demonstrations.write([Recording(*episode()), Recording(*episode(1))], task, "own/arm-v0")
     assert len(AIRL(task, "own/arm-v0", **SMALL).demonstrations) == 2
@@ -272,9 +280,16 @@ def test_demonstrations_that_nobody_learns_from_are_refused(task):
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ({"temprature": 1}, TypeError, "'temprature'; did you mean 'temperature'"),
-        ({"trajectory": 1}, TypeError, "did you mean 'trajectories'"),
-        ({"seed": 1}, TypeError, "did you mean 'seeds'"),
+        ({"temprature": 1}, TypeError, "'temprature'; did you mean temperature"),
+        ({"trajectory": 1}, TypeError, "did you mean trajectories"),
+        ({"seed": 1}, TypeError, "did you mean seeds"),
+        ({"lr": 1}, TypeError, "'lr'; did you mean one of `offairl run imitate --help`"),
+        ({"trajectories": -1}, ValueError, "trajectories is -1; expected"),
+        ({"subsample": 0}, ValueError, "subsample is 0; expected"),
+        ({"device": "gpu"}, ValueError, r"device is 'gpu'; expected one of \('cpu', 'cuda'\)"),
+        ({"compile": True}, ValueError, "compile is True; expected one of"),
+        ({"threads": 0}, ValueError, "threads is 0; expected a number from 1"),
+        ({"guide": "runs/x"}, ValueError, "guide=runs/x would not be used: add guide_steps=50"),
         ({"total_steps": 100}, TypeError, r"\.learn\(100\)"),
         ({"total_timesteps": 100}, TypeError, r"\.learn\(100\)"),
         ({"temperature": -1}, ValueError, "temperature is -1; expected a number above 0"),
@@ -305,8 +320,9 @@ def test_what_cannot_be_used_says_why(task, model, tmp_path):
             use(np.zeros(2))
     with pytest.raises(ValueError, match=r"seed is 7; there are \[0, 1\]"):
         model.predict(np.zeros(2), seed=7)
-    with pytest.raises(ValueError, match=r"expected \(O,\) or \(B, O\)"):
-        model.reward(np.zeros((1, 1, 2)))
+    for wrong in (np.zeros((1, 1, 2)), None):
+        with pytest.raises(ValueError, match=r"expected \(O,\) or \(B, O\)"):
+            model.reward(wrong)
     with pytest.raises(ValueError, match="3"):
         model.predict(np.zeros(3))
     with pytest.raises(ValueError, match="total_timesteps is 0"):

@@ -43,17 +43,13 @@ class Stop(Exception):
 
 
 def rewards(
-    discriminator: Discriminator | None,
-    frozen: Reward | None,
-    log_pi: LogDensity,
-    batch: Batch,
-    scaled: Batch,
+    source: Discriminator | Reward | None, log_pi: LogDensity, batch: Batch, scaled: Batch
 ) -> Vector:
     """Return what the learner is paid for transitions, as in replay and as networks see them."""
-    if discriminator is not None:
-        return discriminator.reward(scaled, log_pi)
+    if isinstance(source, Discriminator):
+        return source.reward(scaled, log_pi)
     # A frozen reward has a scaling of its own.
-    return batch.reward if frozen is None else frozen(batch.obs, batch.action)
+    return batch.reward if source is None else source(batch.obs, batch.action)
 
 
 class Trainer:
@@ -168,8 +164,8 @@ class Trainer:
         """Return what a block of steps is trained on."""
         # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
-        reward, rng = partial(rewards, self.discriminator, self.frozen_reward, log_pi), self.rng
-        replay, shown = self.collector.replay, self.demonstrations
+        reward = partial(rewards, self.discriminator or self.frozen_reward, log_pi)
+        replay, shown, rng = self.collector.replay, self.demonstrations, self.rng
         return Experience(
             self.config, replay, shown, self.normaliser, rng, self.discriminator, log_pi, reward
         )

@@ -110,15 +110,15 @@ def spec(env_id: str) -> EnvSpec:
             cure += "folder to PYTHONPATH"
         raise ModuleNotFoundError(f"{env_id}: {error}; {cure}") from error
     except gymnasium.error.Error as error:
+        near = " or ".join(get_close_matches(name, gymnasium.registry))
+        near = f"; did you mean {near}?" if near else ""
+        why = f"unknown environment {env_id!r}"
         if module:
-            near = " or ".join(get_close_matches(name, gymnasium.registry))
-            why = f"{getattr(sys.modules[module], '__file__', module)} does not register {name!r}"
-            why += f"; did you mean {near}?" if near else ""
-            raise ValueError(f"unknown environment {env_id!r}: {why}") from error
+            file = getattr(sys.modules[module], "__file__", module)
+            raise ValueError(f"{why}: {file} does not register {name!r}{near}") from error
         raise ValueError(
-            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and Gymnasium's. If it "
-            "is your own, let env_id name the module that calls gymnasium.register, too: "
-            f"my_module:{name or 'MyTask-v0'}"
+            f"{why}{near or '.'} Known are {', '.join(TASKS)}, and Gymnasium's. Your own has the "
+            f"module that registers it in its name: my_module:{name or 'MyTask-v0'}"
         ) from error
 
 
