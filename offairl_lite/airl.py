@@ -16,7 +16,7 @@ import torch
 from offairl_lite import demonstrations as data
 from offairl_lite import envs
 from offairl_lite.config import flat_settings
-from offairl_lite.config.settings import Count, Natural, checked
+from offairl_lite.config.settings import EARLIER, Count, Natural, checked
 from offairl_lite.core.results import Run
 from offairl_lite.core.rollouts import action as act
 from offairl_lite.experiments import find
@@ -63,24 +63,23 @@ class AIRL:
             raise ValueError("seeds are (); expected at least one")
         known = {field.name for field in fields(RunInputs)}
         chosen = {name: options.pop(name) for name in known & options.keys()}
-        chosen |= {n: _several(chosen[n]) for n in inputs.CURES if n in chosen}
+        for name in inputs.CURES.keys() & chosen:
+            several = isinstance(chosen[name], list | tuple)
+            chosen[name] = tuple(chosen[name]) if several else (chosen[name],)
         recipe = find("imitate").configs["demo"].change(train_every=1_000, eval_every=10_000)
-        if total := options.pop("total_steps", None):
-            raise TypeError(f"total_steps is an argument of `learn`: AIRL(...).learn({total})")
-        try:
-            reward = {name: options[name] for name in ("reward", "learner") if name in options}
-            config = recipe.change(**reward).change(total_steps=10**9, **options)
-        except ValueError as error:
-            for name in options if "no setting" in str(error) else ():
-                names = known | flat_settings().keys() | {"seeds", "folder"}
-                near = get_close_matches(name, names, 1, 0)
-                if name not in flat_settings():
-                    why = f"AIRL has no option {name!r}; did you mean {near[0]!r}?"
-                    raise TypeError(why) from None
-            raise
+        for name in {"total_steps", "total_timesteps"} & options.keys():
+            raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
+        names = known | flat_settings().keys() | EARLIER.keys() | {"seeds", "folder"}
+        for name in options.keys() - names:
+            near = get_close_matches(name, names, 1) or ["one of `offairl run imitate --help`"]
+            raise TypeError(f"AIRL has no option {name!r}; did you mean {near[0]}?")
+        reward = {name: options[name] for name in ("reward", "learner") if name in options}
+        config = recipe.change(**reward).change(total_steps=10**9, **options)
         self.config = config.change(env_id=envs.register(env))
         notes = preflight.try_out(self.config.env_id, self.seeds[0])
         self.run_inputs, episodes = RunInputs(**chosen), demonstrations
+        self.run_inputs.require_use([config], RunInputs())
+        self.run_inputs.execution(config)  # It says what this machine cannot do.
         few = chosen.get("trajectories"), self.run_inputs.subsample, self.run_inputs.experts
         if config.imitates:
             episodes = self.run_inputs.dataset if episodes is None else episodes
@@ -111,23 +110,23 @@ class AIRL:
                 self._run = records.read(self.folder, self._run.rows[-1].step)
         return self._run
 
-    def learn(self, steps: int, progress: bool = True) -> "AIRL":
+    def learn(self, total_timesteps: int, progress: bool = True) -> "AIRL":
         """Take so many more steps of the task with each seed, and return the object itself.
 
         1,000 steps and then 1,000 more are the same as 2,000 at once. The first 1,000 are random.
         """
-        checked("steps", steps, Count)
+        steps = checked("total_timesteps", total_timesteps, Count)
         if (self.folder / "config.json").is_file():
             folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
         else:
             config = self.config.change(total_steps=steps)
-            spec = records.RunSpec(
-                config,
-                self.seeds,
-                asdict(self.run_inputs.execution(config)),
+            shown, execution = (
                 inputs.describe(self.demonstrations),
-                CHECKPOINT_EVERY,
-                inherited=inputs.inherited(self.inherited, self.run_inputs.files, None),
+                self.run_inputs.execution(config),
+            )
+            began = inputs.inherited(self.inherited, self.run_inputs.files, None)
+            spec = records.RunSpec(
+                config, self.seeds, asdict(execution), shown, CHECKPOINT_EVERY, inherited=began
             )
             folders.create(self.folder, spec, self.inherited, self.demonstrations)
         self._run = None
@@ -143,7 +142,7 @@ class AIRL:
 
     def predict(
         self,
-        obs: np.ndarray,
+        obs: Any,
         state: None = None,
         episode_start: Any = None,
         deterministic: bool = True,
@@ -152,31 +151,42 @@ class AIRL:
     ) -> tuple[np.ndarray, None]:
         """Return actions in the task's own units, and None, as Stable-Baselines3 does.
 
-        `obs` is (O,) or (B, O). Unlike there, actions have no noise by default. They are the policy
-        of one seed's: of the first that has not diverged, unless `seed` names another.
+        Args:
+            obs: (O,) or (B, O), or a dictionary where the task's is.
+            state: not used, as is `episode_start`.
+            deterministic: whether actions have no noise: the default here, unlike there.
+            seed: whose policy acts; by default that of the first that has not diverged.
+
+        Raises:
+            ValueError: nothing is learned yet, there is no such seed, or `obs` does not fit.
         """
         policy, space = self.run.policy, envs.spaces(self.config.env_id)[1]
         if policy is None:
             raise ValueError("there is no policy before the first evaluation: learn for longer")
-        noise = None
+        noise, obs = None, envs.flatten(self.config.env_id, obs)
         if not deterministic:
             noise = np.random.default_rng().standard_normal((*np.shape(obs)[:-1], *space.shape))
         return act(policy.member(self._member(seed)), obs, space, noise), None
 
-    def reward(
-        self, obs: np.ndarray, action: np.ndarray | None = None, *, seed: int | None = None
-    ) -> Any:
+    def reward(self, obs: Any, action: np.ndarray | None = None, *, seed: int | None = None) -> Any:
         """Return the learned reward of (O,), a float, or of each row of (B, O), an array (B,).
 
-        Observations, and actions if the reward sees them, are in the task's own units. `seed` says
-        whose reward, as in `predict`.
+        Args:
+            obs: in the task's own units, or a dictionary where the task's is.
+            action: what is done there, if the reward sees actions, in the task's own units.
+            seed: whose reward, as in `predict`.
+
+        Raises:
+            ValueError: no reward is learned, there is no such seed, or shapes do not fit.
         """
         if self.run.reward is None:
             why = inputs.why_no_reward(self.config) or "none is learned yet"
             raise ValueError(f"there is no reward: {why}")
         one = self.run.reward.member(self._member(seed))
         in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
-        rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
+        obs = envs.flatten(self.config.env_id, obs)
+        parts = (obs,) if action is None else (obs, action)
+        rows = [np.asarray(x, np.float32) for x in parts]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
         values = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
@@ -200,7 +210,10 @@ class AIRL:
     ) -> "AIRL":
         """Return a copy of what was saved, or of any other run folder.
 
-        A task of one's own, a function, an environment or an id with a module, is given again.
+        Args:
+            path: the folder.
+            env: the task again, if it is one of your own: an object, or an id with a module.
+            folder: where the copy goes on, as for a new model.
         """
         spec = records.RunSpec.read(path)
         needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
@@ -217,7 +230,3 @@ class AIRL:
         checkpoints.copy(Path(path), self.folder)
         self.demonstrations = None  # Whoever only acts, or asks for rewards, needs none.
         return self
-
-
-def _several(files: Any) -> tuple:
-    return tuple(files) if isinstance(files, list | tuple) else (files,)

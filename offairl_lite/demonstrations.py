@@ -199,14 +199,18 @@ def of(
     """Return demonstrations of a task, in whatever form they are given.
 
     `source` is a list of episodes, each a `Recording`, its parts (obs, action, terminated), or a
-    `Trajectory` of imitation; flat arrays, as `from_flat` takes them; the name of a Minari data
-    set; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a function, or a model
+    `Trajectory` of imitation; flat arrays, or their .npz file, for `from_flat`; a Minari data set's
+    name; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a function, or a model
     with `predict`; None for the shipped `experts`; or `Demonstrations`, which are returned as they
     are. Of episodes that are there already all are taken, or the first `trajectories`. ValueError
     says what is wrong, and with which recording.
     """
+    checked("trajectories", trajectories, Count | None)
+    checked("subsample", subsample, Count)
     if isinstance(source, Demonstrations):
         return source
+    if isinstance(source, str | Path) and Path(source).suffix == ".npz":
+        source = np.load(source)
     if source is None or isinstance(source, str):
         return load(env_id, trajectories, source, subsample, experts)
     if hasattr(source, "predict"):

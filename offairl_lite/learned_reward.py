@@ -21,7 +21,7 @@ from torch import Tensor
 from offairl_lite.config.settings import checked
 from offairl_lite.core.absorbing import absorbing_state, analytic_return
 from offairl_lite.core.rewards import Reward
-from offairl_lite.envs import require_boxes
+from offairl_lite.envs import flatten, require_boxes
 from offairl_lite.runs.inputs import load_one
 
 BelowOne = Annotated[float, "in [0, 1)", lambda x: 0 <= x < 1]
@@ -75,7 +75,7 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
     ) -> tuple[np.ndarray, dict]:
         """Start a new episode."""
         obs, info = self.env.reset(seed=seed, options=options)
-        self._seen = _copy(obs)
+        self._seen = _copy(flatten(self.env.observation_space, obs))
         return obs, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
@@ -84,7 +84,7 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
         low, high = self._units.low, self._units.high
         scaled = 2 * (np.asarray(action) - low) / (high - low) - 1
         paid = self._reward(self._seen, _copy(scaled)).item() + self._rest * terminated
-        self._seen = _copy(obs)
+        self._seen = _copy(flatten(self.env.observation_space, obs))
         return obs, float(paid), terminated, truncated, {**info, "task_reward": task_reward}
 
 

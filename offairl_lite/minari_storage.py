@@ -36,7 +36,8 @@ class Recording(NamedTuple):
     """A recorded episode of T steps, with actions in the task's own units.
 
     `terminated` says whether the task had ended for good; otherwise the recording was cut. Rewards
-    are used for `Demonstrations.returns` alone, and may be unknown.
+    are used for `Demonstrations.returns` alone, and may be unknown. Observations may be
+    dictionaries where the task's are: one of arrays, or a list (`envs.flatten`).
     """
 
     obs: Float[np.ndarray, "T+1 O"]
@@ -86,6 +87,8 @@ def _episodes(recordings: Sequence[Recording], env_id: str) -> list[EpisodeBuffe
     for i, recording in enumerate(recordings):
         where = f"recording {i}, for the task {env_id}"
         with _reading(where):
+            if isinstance(recording, Recording):
+                recording = recording._replace(obs=envs.flatten(env_id, recording.obs))
             episode = _episode(i, recording, seen, units)
         episodes.append(_within_bounds(episode, where, seen, units, env_id))
         clipped.append(episodes[-1].actions - episode.actions)
@@ -135,7 +138,7 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
     if dataset.total_episodes < trajectories:
         raise ValueError(
             f"{dataset_id}: {trajectories} trajectories were asked for; it has "
-            f"{dataset.total_episodes}: give --trajectories {dataset.total_episodes}, or fewer"
+            f"{dataset.total_episodes}: give trajectories={dataset.total_episodes}, or fewer"
         )
     if made_on := _other_task(dataset.spec.env_spec, env_id):
         # Neither an error nor a warning, which may be turned into an error: it may be intended.
@@ -150,6 +153,8 @@ def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[
         where = f"data set {dataset_id}, episode {i}, for the task {env_id}"
         with _reading(where):
             (episode,) = dataset.iterate_episodes([i])
+            flat = envs.flatten(env_id, episode.observations)
+            episode = replace(episode, observations=flat)
         within = _within_bounds(episode, where, seen, units, env_id)
         parts.append(_transitions(within, units))
         clipped.append(np.asarray(within.actions) - episode.actions)
@@ -265,13 +270,7 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
         array = getattr(episode, part)
         if isinstance(array, dict):
             names = ", ".join(map(str, array))
-            actual = (
-                f"a dictionary of {names}: put one array beside the other, in the order of the "
-            )
-            actual += (
-                f"task's observation ({', '.join(sorted(map(str, array)))} in FlattenObservation)"
-            )
-            expect(False, f"{part} of shape {shape}", actual)
+            expect(False, f"{part} of shape {shape}, as the task has", f"a dictionary of {names}")
         actual = getattr(array, "shape", type(array).__name__)
         rule = "; T actions go with T + 1 observations" * (part == "observations")
         expect(actual == shape, f"{part} of shape {shape}", f"{actual}{rule}")
@@ -335,7 +334,8 @@ def _clips(env_id: str, actions: Float[np.ndarray, "T A"]) -> bool:
                     env.reset(seed=0)
             pair = action.astype(bounds.dtype), np.clip(action, bounds.low, bounds.high)
             one, other = (env.step(x) for env, x in zip(both, pair, strict=True))
-            if not np.array_equal(one[0], other[0]) or one[2:4] != other[2:4]:
+            first, second = (envs.flatten(env_id, step[0]) for step in (one, other))
+            if not np.array_equal(first, second) or one[2:4] != other[2:4]:
                 return False
             ended = bool(one[2] or one[3])
         return True

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
+from copy import deepcopy
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from tqdm.auto import tqdm
 
-from offairl_lite import minari_storage
+from offairl_lite import envs, minari_storage
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.envs.serial import as_reward
 from offairl_lite.minari_storage import Recording
@@ -37,13 +38,14 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     `timeouts`, and `terminated` or `terminals`, which alone tell an end for good. `obs`, `actions`
     and `rewards` have one row a step, as in files of Stable-Baselines, which lack the last
     observation of an episode: its last action, of which nobody knows where it led, is then left
-    out, and with it a termination, of which the log speaks. With `next_obs` nothing is.
+    out, and with it a termination, of which the log speaks. With `next_obs` nothing is. Of a task
+    whose observations are dictionaries, `obs` is a dictionary of such arrays.
 
     Raises:
         ValueError: an array is missing or of another length, or all episodes have one step.
     """
     columns = {part: arrays[n] for part, names in NAMES.items() for n in names[::-1] if n in arrays}
-    rows = {part: np.asarray(array) for part, array in columns.items()}
+    rows = {part: _rows(array) for part, array in columns.items()}
     steps, available = len(rows.get("action", ())), sorted(arrays)
     if not {"obs", "action"} <= rows.keys():
         raise ValueError(f"flat arrays {available}; expected obs and actions among them")
@@ -63,10 +65,8 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     bounds = [*np.flatnonzero(starts | (np.arange(steps) == 0)), steps]
     recordings, dropped = [], 0
     for begin, end in pairwise(bounds):
-        obs, ended = (
-            rows["obs"][begin:end],
-            "terminated" in rows and bool(rows["terminated"][end - 1]),
-        )
+        obs = rows["obs"][begin:end]
+        ended = "terminated" in rows and bool(rows["terminated"][end - 1])
         if "next_obs" in rows:
             obs = np.concatenate([obs, rows["next_obs"][end - 1 : end]])
         else:
@@ -84,6 +84,16 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     return recordings
 
 
+def _rows(array: Any) -> np.ndarray:
+    """Return an array with a row for each step: a dictionary each, of a dictionary of arrays."""
+    if not isinstance(array, Mapping):
+        return np.asarray(array)
+    columns = [_rows(part) for part in array.values()]
+    if len(lengths := {len(column) for column in columns}) > 1:
+        raise ValueError(f"flat arrays: {[*array]} have {sorted(lengths)} rows; expected as many")
+    return np.array([dict(zip(array, row, strict=True)) for row in zip(*columns, strict=True)])
+
+
 def played(
     act: Callable[[np.ndarray], np.ndarray], env_id: str, units: Box, seeds: Sequence[int]
 ) -> list[Recording]:
@@ -95,18 +105,19 @@ def played(
     ):
         for i, seed in enumerate(bar):
             # Copies, since whoever acts, and the task, may go on writing into their own.
-            obs, actions, rewards = [np.array(env.reset(seed=seed)[0])], list[np.ndarray](), []
+            obs, actions, rewards = [deepcopy(env.reset(seed=seed)[0])], list[np.ndarray](), []
             terminated = truncated = False
             while not (terminated or truncated):
                 require_end(env_id, len(actions), LONGEST)
-                action = act(obs[-1].copy())
+                action = act(deepcopy(obs[-1]))
                 _require_action(action, units, f"episode {i}, step {len(actions)}")
                 actions.append(np.array(action, units.dtype))
                 seen, reward, terminated, truncated, _ = env.step(actions[-1].copy())
-                obs.append(np.array(seen))
+                obs.append(deepcopy(seen))
                 rewards.append(as_reward(env_id, reward))
             bar.set_postfix_str(f"return {np.mean(returns := [*returns, sum(rewards)]):.4g}")
-            parts = np.stack(obs), np.stack(actions), bool(terminated), np.array(rewards)
+            flat = np.stack(envs.flatten(env_id, obs))
+            parts = flat, np.stack(actions), bool(terminated), np.array(rewards)
             recordings.append(Recording(*parts))
     return recordings
 

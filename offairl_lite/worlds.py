@@ -137,8 +137,7 @@ def share(first: Discriminator, *others: Discriminator) -> None:
 
 
 def update(
-    discriminators: Sequence[Discriminator],
-    *minibatches: tuple[Transitions, Transitions, Mixing],
+    discriminators: Sequence[Discriminator], *minibatches: tuple[Transitions, Transitions, Mixing]
 ) -> Metrics:
     """Take one step down the sum of the losses of discriminators that share a reward.
 
@@ -168,10 +167,18 @@ def train(
     """Learn one reward from demonstrations of W worlds; return a run for each world.
 
     All runs have this reward. `runs[0].reward.save(path)` keeps it, and `core.loop.train`, or
-    `offairl run imitate --reward frozen`, pays a new policy with it in another world. `config` is
-    that of every world, but for `env_id`, and `seeds` are one for each member in every world. It is
-    a ValueError if there are fewer than two worlds, their observations or actions differ, their
-    blocks of steps end at different times, or `config` does not fit; see `core.loop` for others.
+    `offairl run imitate --reward frozen`, pays a new policy with it in another world.
+
+    Args:
+        config: of every world, but for `env_id`.
+        seeds: one for each member, in every world.
+        demonstrations: of each world.
+        execution: where, and how, it is computed.
+        progress: whether a bar is shown.
+
+    Raises:
+        ValueError: there are fewer than two worlds, their observations or actions differ, their
+            blocks of steps end at different times, or `config` does not fit.
     """
     with ExitStack() as afterwards:
         afterwards.callback(torch.set_num_threads, torch.get_num_threads())

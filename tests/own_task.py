@@ -30,6 +30,30 @@ class Noisy(Arm):
         return obs + np.float32(np.random.normal()), *rest  # noqa: NPY002
 
 
+class Goal(Arm):
+    """An arm whose observations are dictionaries, one part of them discrete."""
+
+    def __init__(self):
+        super().__init__()
+        self.observation_space = gymnasium.spaces.Dict(
+            {"b": BOX(-9, 9, (1,)), "a": BOX(-9, 9, (1,)), "c": gymnasium.spaces.Discrete(3)}
+        )
+
+    def reset(self, *, seed=None, options=None):
+        obs, info = super().reset(seed=seed)
+        return as_parts(obs), info
+
+    def step(self, action):
+        obs, *rest = super().step(action)
+        return as_parts(obs), *rest
+
+
+def as_parts(obs):
+    """The dictionary, or dictionaries, of observations (..., 2)."""
+    a, b = np.split(np.float32(obs), 2, -1)
+    return {"b": b, "c": np.int64(a[..., 0] > 0), "a": a}
+
+
 def scaled():
     """An arm whose observations depend on all those before, of earlier episodes as well."""
     return gymnasium.wrappers.NormalizeObservation(Arm())

@@ -1,18 +1,22 @@
 """The class that a user meets first."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
+import minari
 import numpy as np
 import pytest
 import torch
-from own_task import BOX, Arm
+from minari.data_collector.episode_buffer import EpisodeBuffer
+from own_task import BOX, Arm, Goal, as_parts
 
 from offairl_lite import AIRL, demonstrations, envs
 from offairl_lite.core.rollouts import action
 from offairl_lite.demonstrations import Recording
 from offairl_lite.learned_reward import LearnedReward
 from offairl_lite.runs import folders, pictures, records
+from offairl_lite.runs.export import export
 
 SMALL = {
     "learning_starts": 20,
@@ -230,6 +234,13 @@ def test_demonstrations_come_in_many_forms(given, task):
     assert shown.transitions.terminated.sum() == ends
 
 
+@pytest.mark.parametrize("kind", [str, Path])
+def test_flat_arrays_may_be_a_file(kind, task, tmp_path):
+    np.savez(tmp_path / "arm.npz", **FLAT)
+    shown = demonstrations.of(kind(tmp_path / "arm.npz"), task)
+    assert torch.equal(shown.transitions.obs, demonstrations.of(FLAT, task).transitions.obs)
+
+
 def test_demonstrations_by_name_and_of_a_policy(task, model, minari_folder):
     demonstrations.write([Recording(*episode()), Recording(*episode(1))], task, "own/arm-v0")
     assert len(AIRL(task, "own/arm-v0", **SMALL).demonstrations) == 2
@@ -269,10 +280,18 @@ def test_demonstrations_that_nobody_learns_from_are_refused(task):
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ({"temprature": 1}, TypeError, "'temprature'; did you mean 'temperature'"),
-        ({"trajectory": 1}, TypeError, "did you mean 'trajectories'"),
-        ({"seed": 1}, TypeError, "did you mean 'seeds'"),
+        ({"temprature": 1}, TypeError, "'temprature'; did you mean temperature"),
+        ({"trajectory": 1}, TypeError, "did you mean trajectories"),
+        ({"seed": 1}, TypeError, "did you mean seeds"),
+        ({"lr": 1}, TypeError, "'lr'; did you mean one of `offairl run imitate --help`"),
+        ({"trajectories": -1}, ValueError, "trajectories is -1; expected"),
+        ({"subsample": 0}, ValueError, "subsample is 0; expected"),
+        ({"device": "gpu"}, ValueError, r"device is 'gpu'; expected one of \('cpu', 'cuda'\)"),
+        ({"compile": True}, ValueError, "compile is True; expected one of"),
+        ({"threads": 0}, ValueError, "threads is 0; expected a number from 1"),
+        ({"guide": "runs/x"}, ValueError, "guide=runs/x would not be used: add guide_steps=50"),
         ({"total_steps": 100}, TypeError, r"\.learn\(100\)"),
+        ({"total_timesteps": 100}, TypeError, r"\.learn\(100\)"),
         ({"temperature": -1}, ValueError, "temperature is -1; expected a number above 0"),
         ({"seeds": 0}, ValueError, "seeds is 0; expected a whole number of at least 1"),
         ({"seeds": [1, 1]}, ValueError, "two members with one seed"),
@@ -301,12 +320,13 @@ def test_what_cannot_be_used_says_why(task, model, tmp_path):
             use(np.zeros(2))
     with pytest.raises(ValueError, match=r"seed is 7; there are \[0, 1\]"):
         model.predict(np.zeros(2), seed=7)
-    with pytest.raises(ValueError, match=r"expected \(O,\) or \(B, O\)"):
-        model.reward(np.zeros((1, 1, 2)))
+    for wrong in (np.zeros((1, 1, 2)), None):
+        with pytest.raises(ValueError, match=r"expected \(O,\) or \(B, O\)"):
+            model.reward(wrong)
     with pytest.raises(ValueError, match="3"):
         model.predict(np.zeros(3))
-    with pytest.raises(ValueError, match="steps is 0"):
-        model.learn(0)
+    with pytest.raises(ValueError, match="total_timesteps is 0"):
+        model.learn(total_timesteps=0)
 
 
 def test_a_model_that_was_stopped_has_its_last_evaluation_and_goes_on(task, monkeypatch):
@@ -334,8 +354,95 @@ def test_a_space_that_is_no_box_says_how_to_wrap_it():
         AIRL("CartPole-v1", controller)
     with pytest.raises(ValueError, match="TransformAction"):
         AIRL(arm(actions=BOX(-np.inf, np.inf, (2,))), controller)
-    seen = gymnasium.spaces.Dict({"b": BOX(-1, 1, (1,)), "a": BOX(-1, 1, (1,))})
-    with pytest.raises(
-        ValueError, match="FlattenObservation puts its parts one after another: a, b"
-    ):
+    seen = gymnasium.spaces.Dict(
+        {"b": BOX(-1, 1, (1,)), "a": gymnasium.spaces.Sequence(BOX(-1, 1))}
+    )
+    with pytest.raises(ValueError, match=r"observation space Dict\(.* is not supported"):
         AIRL(arm(observations=seen), controller)
+
+
+def flat(obs):
+    obs = np.float32(obs)
+    return np.concatenate([obs, np.eye(3, dtype=np.float32)[np.int64(obs[..., 0] > 0)]], -1)
+
+
+def test_dictionaries_of_observations_are_flattened(caplog, minari_folder, tmp_path):
+    goal = gymnasium.wrappers.TimeLimit(Goal(), 5)
+    arrays = {**FLAT, "obs": as_parts(FLAT["obs"])}
+    model = small(goal, demos=arrays).learn(40, progress=False)
+    assert "observations are dictionaries, flattened in the order a, b, c" in caplog.text
+    wanted = flat(episode()[0][:4])
+    np.testing.assert_array_equal(model.demonstrations.transitions.obs[:4], wanted)
+    obs = np.random.default_rng(0).uniform(-1, 1, (3, 2))
+    for use in (lambda x: model.predict(x)[0], model.reward):
+        assert use(as_parts(obs)).shape == use(flat(obs)).shape
+        np.testing.assert_array_equal(use(as_parts(obs)), use(flat(obs)))
+        np.testing.assert_array_equal(use([as_parts(one) for one in obs]), use(flat(obs)))
+        np.testing.assert_allclose(use(as_parts(obs[1])), use(flat(obs))[1], rtol=1e-5)
+    model.save(tmp_path / "goal")
+    same(AIRL.load(tmp_path / "goal", goal), model)
+    export(tmp_path / "goal", tmp_path / "out", member=0)
+    assert "as the task gives them, in the order a, b, c." in (
+        (tmp_path / "out/README.txt").read_text()
+    )
+    assert model.predict(gymnasium.make(model.config.env_id).reset(seed=0)[0])[0].shape == (2,)
+    demonstrations.generate(
+        lambda obs: controller(np.concatenate([obs["a"], obs["b"]])),
+        model.config.env_id,
+        2,
+        "own/goal-v0",
+    )
+    assert len(small(goal, demos="own/goal-v0").demonstrations) == 2
+    paid = LearnedReward(goal, model.run.reward, member=0)
+    before, _ = paid.reset(seed=0)
+    assert isinstance(before, dict)
+    seen, r, *_ = paid.step(np.array([1.0, 0.25]))
+    assert isinstance(seen, dict)
+    assert r == pytest.approx(model.reward(before))
+
+
+@pytest.mark.parametrize("form", ["arrays", "list", "next", "function", "minari"])
+def test_demonstrations_with_dictionaries_come_in_the_same_forms(form, own, minari_folder):
+    env_id = own("ownbot/Goal-v0", "own_task:Goal")
+    obs, actions = episode()
+    steps = {"actions": actions, "dones": np.arange(5) == 4}
+    given = {
+        "arrays": [(as_parts(obs), actions)],
+        "list": [{"obs": [as_parts(one) for one in obs], "action": actions}],
+        "next": {"obs": as_parts(obs[:-1]), "next_obs": as_parts(obs[1:]), **steps},
+        "function": lambda obs: controller([*obs["a"], *obs["b"]]),
+        "minari": "own/goal-v0",
+    }[form]
+    if form == "minari":
+        write_raw(env_id, obs, actions)
+    transitions = demonstrations.of(given, env_id, 1).transitions
+    if form == "function":
+        assert not torch.equal(transitions.obs[0], transitions.obs[1])
+        assert transitions.obs.shape == (5, 5)
+    else:
+        np.testing.assert_array_equal(transitions.obs, flat(obs[:-1]))
+        np.testing.assert_array_equal(transitions.next_obs, flat(obs[1:]))
+
+
+def write_raw(env_id, obs, actions):
+    """Write a data set as Minari itself records a task: with dictionaries."""
+    env, last = gymnasium.make(env_id), np.arange(5) == 4
+    buffer = EpisodeBuffer(0, None, None, as_parts(obs), actions, np.zeros(5), last & False, last)
+    with pytest.warns(UserWarning, match="is set to None"):
+        minari.create_dataset_from_buffers("own/goal-v0", [buffer], env=env, algorithm_name="none")
+    raw = minari.load_dataset("own/goal-v0")
+    assert set(raw[0].observations) == {"a", "b", "c"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda obs: obs.pop("b"), r"have the parts \['c', 'a'\]; expected \['a', 'b', 'c'\]"),
+        (lambda obs: obs.update(a=obs["a"][:2]), "recording 0, .* dimensions .* must match"),
+    ],
+)
+def test_parts_that_do_not_fit_are_named(change, words, own):
+    obs, actions = episode()
+    change(obs := as_parts(obs))
+    with pytest.raises(ValueError, match=words):
+        demonstrations.of([(obs, actions)], own("ownbot/Goal-v0", "own_task:Goal"))

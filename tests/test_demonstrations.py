@@ -76,7 +76,9 @@ def test_the_first_trajectories_are_taken(write_dataset):
 
 def test_a_misspelt_task_with_a_data_set_is_answered_with_what_there_is(write_dataset):
     write_dataset("my/pendulum-v0", episodes=1)
-    message = r"'Pendulm-v1'. Known are .*PointMazeLeft.*--env-id my_module:Pendulm-v1"
+    message = (
+        r"'Pendulm-v1'; did you mean Pendulum-v1.* Known are .*PointMazeLeft.*my_module:Pendulm-v1"
+    )
     with pytest.raises(ValueError, match=message):
         load("Pendulm-v1", 1, "my/pendulum-v0")
 

@@ -16,7 +16,7 @@ core.discriminator core.experience core.sac core.iq_learn core.td3 core.ppo core
 core.results core.collector core.scaling core.requirements core.loop worlds ablations experiments
 analysis.statistics analysis.epic analysis.plots analysis.films runs.records runs.tensorboard
 runs.inputs runs.preflight learned_reward runs.export runs.pictures runs.checkpoints runs.jobs
-runs.folders runs.grid runs.launch runs.bench airl runs.cli
+runs.messages runs.folders runs.grid runs.launch runs.bench airl runs.cli
 """.split()  # noqa: SIM905
 FILES = sorted(
     path for path in ROOT.rglob("*.py") if path.parent != ROOT or path.stem != "__init__"

@@ -99,10 +99,8 @@ class BottleneckConfig(DiscriminatorConfig):
 
     bottleneck: Positive = 0.5
     """I_c: the most nats that a transition's stochastic code may carry, on average."""
-
     bottleneck_size: Count = 8
     """Dimension of the code of r's input, and of that of V's."""
-
     bottleneck_rate: Positive = 1e-5
     """Step of the dual ascent that enforces `bottleneck`."""
 

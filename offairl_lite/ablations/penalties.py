@@ -9,12 +9,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.discriminator import (
-    Discriminator,
-    Mixing,
-    Transitions,
-    make_discriminator,
-)
+from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions, make_discriminator
 from offairl_lite.core.networks import TINY, StackedMLP, zeros
 from offairl_lite.core.rewards import Reward, log_odds
 from offairl_lite.core.rng import Rng

@@ -40,7 +40,6 @@ STYLE: Any = {
     "lines.linewidth": 1.8,
 }
 
-
 style = partial(plt.rc_context, STYLE)
 """A context whose figures have the book's style."""
 

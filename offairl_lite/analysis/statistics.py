@@ -14,10 +14,8 @@ from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 """How many resamples a bootstrap draws where there are too many to take them all."""
-
 TAIL = (1 - 0.95) / 2
 """At most this much lies beyond each end of an interval: all of them are 95 % ones."""
-
 ENUMERATED = 20_000
 """Up to how many distinct resamples a bootstrap takes them all: eight seeds, or five a side."""
 

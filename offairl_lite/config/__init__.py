@@ -233,7 +233,6 @@ def flat_settings() -> dict[str, tuple[Any, Any, str]]:
 
 CORRECTED = Config()
 """Expert label 1, logit f - log π with the exact squashed density, inputs normalised."""
-
 PAPER = Config(Schedule(normalise=False))
 """The text of the paper. It differs from `CORRECTED` where the text is silent or wrong: inputs
 are left as the task gives them."""

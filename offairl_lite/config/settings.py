@@ -27,8 +27,6 @@ PLAIN: dict[type, tuple[Any, str]] = {
     str: (str, "a text"),
 }
 """The types of single settings: what is taken for one, and what it is called in messages."""
-
-
 EARLIER = {
     "warmup_steps": "learning_starts",
     "warmup_hold": "random_hold",
@@ -36,17 +34,11 @@ EARLIER = {
     "update_every": "train_every",
 }
 """Names that settings had before, which are still understood."""
-
+_FOUR = "logit-sa", "logit-s", "r-sa", "r-s"
 SYNONYMS = {
     "reward": {
-        **{
-            f"implementation-{n + 1}": x
-            for n, x in enumerate(("logit-sa", "logit-s", "r-sa", "r-s"))
-        },
-        "logit(s,a)": "logit-sa",
-        "logit(s)": "logit-s",
-        "r(s,a)": "r-sa",
-        "r(s)": "r-s",
+        **{f"implementation-{n}": name for n, name in enumerate(_FOUR, 1)},
+        **{name.replace("-", "(").replace("sa", "s,a") + ")": name for name in _FOUR},
     },
     "loss": {"exact": "airl", "mixture": "airl-mixture", "released": "log-ratio"},
 }

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map_only
 
 from offairl_lite.config import Config
+from offairl_lite.config.settings import checked
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,8 @@ class Execution:
     def accelerate(self, step: Callable, hidden: tuple[int, ...]) -> Callable:
         """Return a function that does what `step` does, which changes tensors in place.
 
-        `hidden` are the layers of the networks that it updates.
-
-        It takes tensors, always of the same shapes, tuples of them, None and flags, and returns a
-        dictionary of tensors.
+        `hidden` are the layers of the networks that it updates. It takes tensors, always of the
+        same shapes, tuples of them, None and flags, and returns a dictionary of tensors.
         """
         if self.compile:
             # Gradients are taken inside the function that is compiled.
@@ -75,6 +74,8 @@ def choose_execution(
     config: Config, device: str, threads: int = 1, compile: Literal["auto", "yes", "no"] = "auto"
 ) -> Execution:
     """Return how a run is best executed; `auto` compiles long ones where there is a compiler."""
+    checked("device", device, Literal["cpu", "cuda"])
+    checked("compile", compile, Literal["auto", "yes", "no"])
     onednn = device == "cpu" and is_large(config.learner.hidden) and onednn_is_faster()
     if compile == "auto" and config.total_steps >= 50_000 and compiler() is not None:
         compile = "yes"

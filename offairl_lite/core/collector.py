@@ -45,11 +45,8 @@ class Members:
         for i in lost.nonzero().flatten().tolist():
             seed = self.seeds[i]
             if seed not in self.diverged:
-                why = (
-                    f"seed {seed} diverged by step {step}: its {problem}; lower "
-                    "learning_rate or reward_scale; set temperature, if a learned one rose "
-                    "(curve.csv)"
-                )
+                cure = "lower learning_rate or reward_scale; set temperature, if a learned one rose"
+                why = f"seed {seed} diverged by step {step}: its {problem}; {cure} (curve.csv)"
                 self.diverged[seed] = why
                 warnings.warn(why, stacklevel=4)
         # Members that were given up still receive updates, so they are zeroed again.
@@ -75,7 +72,7 @@ def _say_that_ends_matter(env_id: str) -> None:
     log.warning(
         f"An episode of {env_id} has terminated, and absorbing is 'none': the constant of the "
         "learned reward, which nobody chose, then decides between a long life and a short one. "
-        "Set absorbing='bootstrap', --absorbing bootstrap (chapter 7)."
+        "Set absorbing='bootstrap'."
     )
 
 

@@ -108,7 +108,6 @@ class Transitions(NamedTuple):
 Mixing = Float[Tensor, "S B 4"]
 """Uniform in [0, 1): where s, a, s' and log π are, from the policy's (0) to the expert's (1)."""
 
-
 Gradients = tuple[Obs, Action, Obs]
 """∇f by s, a and s'."""
 

@@ -5,7 +5,7 @@ Minibatches are drawn `CHUNK` at a time, so that log π and rewards are computed
 stay as they are during a block.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -16,7 +16,6 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample
-from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Vector
 
@@ -45,9 +44,9 @@ class Experience:
         demonstrations: the expert's transitions, axes `N`, if a reward is learned.
         normaliser: scales every observation.
         rng: draws the minibatches.
-        source: what the learner is paid by: a discriminator, a frozen reward, or None for the
-            task's own reward.
+        discriminator: what the minibatches of both sides are for, if a reward is learned.
         log_density: log π of scaled transitions, as it was when the block began.
+        reward: what the learner is paid (`loop.rewards`).
     """
 
     config: Config
@@ -55,8 +54,9 @@ class Experience:
     demonstrations: Batch | None
     normaliser: Normaliser
     rng: Rng
-    source: Discriminator | Reward | None
+    discriminator: Discriminator | None
     log_density: LogDensity
+    reward: Callable[[Batch, Batch], Vector]
 
     def scaled(self, batch: Batch) -> Batch:
         """Return transitions as networks see them."""
@@ -70,10 +70,10 @@ class Experience:
 
         There are as many as `discriminator_updates` says, or as the block has steps.
         """
-        discriminator, rng = self.source, self.rng
-        if not isinstance(discriminator, Discriminator) or self.demonstrations is None:
+        discriminator, rng = self.discriminator, self.rng
+        if discriminator is None or self.demonstrations is None:
             return
-        size = self.batch_size
+        size = self.config.schedule.batch_size
         for minibatches in chunks(discriminator.config.updates or steps):
             count = minibatches * size
             drawn = sample(self.demonstrations, rng, count), self.replay.sample(rng, count)
@@ -85,33 +85,25 @@ class Experience:
                 sides.append(discriminator.transitions(batch, log_prob).split(size))
             yield from zip(*sides, mixing.split(size, 1), strict=True)
 
-    def rewards(self, batch: Batch) -> Vector:
-        """Return what the learner is to maximise, of transitions as they are in replay."""
-        if self.source is None:
-            r = batch.reward
-        elif isinstance(self.source, Reward):
-            r = self.source(batch.obs, batch.action)  # It has a scaling of its own.
-        else:
-            r = self.source.reward(self.scaled(batch), self.log_density)
-        return self.config.learner.reward_scale * r
-
     def paid(self, batch: Batch) -> Batch:
         """Return scaled transitions, with what the learner is to maximise as their reward.
 
         With `absorbing="analytic"`, R_T is written into those that lead to the absorbing state.
         """
-        r, learner = self.rewards(batch), self.config.learner
+        learner, scaled = self.config.learner, self.scaled(batch)
+        r = learner.reward_scale * self.reward(batch, scaled)
         centred = isinstance(learner, OffPolicyConfig) and learner.centre_reward
         mean = r.mean(1, keepdim=True) if centred else 0
-        paid = self.scaled(batch)._replace(reward=r - mean)
+        paid = scaled._replace(reward=r - mean)
         if self.config.schedule.absorbing != "analytic":
             return paid
-        absorbing_reward = self.rewards(absorbing.loop_of(batch)) - mean
+        loop = absorbing.loop_of(batch)
+        absorbing_reward = learner.reward_scale * self.reward(loop, self.scaled(loop)) - mean
         return absorbing.with_analytic_return(paid, absorbing_reward, learner.discount)
 
     def minibatches(self, count: int) -> list[Batch]:
         """Draw so many minibatches for the learner; SQIL's and IQ-Learn's are twice as large."""
-        size = self.batch_size
+        size = self.config.schedule.batch_size
         batch = self.replay.sample(self.rng, count * size)
         if isinstance(self.config.discriminator, Labels) and self.demonstrations is not None:
             expert = sample(self.demonstrations, self.rng, count * size)
@@ -121,8 +113,3 @@ class Experience:
     def last(self, count: int) -> Batch:
         """Return the last so many transitions of each member for the learner, in order."""
         return self.paid(self.replay.last(count))
-
-    @property
-    def batch_size(self) -> int:
-        """Transitions in one update of the learner."""
-        return self.config.schedule.batch_size

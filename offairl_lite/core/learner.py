@@ -9,12 +9,7 @@ from offairl_lite.config import Config, SACConfig, TD3Config
 from offairl_lite.core.absorbing import is_absorbing
 from offairl_lite.core.experience import Experience
 from offairl_lite.core.iq_learn import IQLearn
-from offairl_lite.core.policies import (
-    Actor,
-    MultiplicativeGaussian,
-    Policy,
-    defensive_log_density,
-)
+from offairl_lite.core.policies import Actor, MultiplicativeGaussian, Policy, defensive_log_density
 from offairl_lite.core.ppo import PPO
 from offairl_lite.core.replay import Batch, LogDensity
 from offairl_lite.core.rng import Rng

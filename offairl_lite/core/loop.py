@@ -8,6 +8,7 @@ one, there is no discriminator. PPO uses the same loop, but learns from the late
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,18 +23,18 @@ from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
-from offairl_lite.core.discriminator import make_discriminator
+from offairl_lite.core.discriminator import Discriminator, make_discriminator
 from offairl_lite.core.experience import Experience
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.replay import Batch, make_replay
+from offairl_lite.core.replay import Batch, LogDensity, make_replay
 from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.results import Row, Run, evaluate
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.scaling import scaling_of
-from offairl_lite.core.shapes import Layout, Metrics
+from offairl_lite.core.shapes import Layout, Metrics, Vector
 from offairl_lite.demonstrations import Demonstrations
 
 
@@ -41,13 +42,21 @@ class Stop(Exception):
     """Raised by a callback: the run ends here, with what is there."""
 
 
+def rewards(
+    source: Discriminator | Reward | None, log_pi: LogDensity, batch: Batch, scaled: Batch
+) -> Vector:
+    """Return what the learner is paid for transitions, as in replay and as networks see them."""
+    if isinstance(source, Discriminator):
+        return source.reward(scaled, log_pi)
+    # A frozen reward has a scaling of its own.
+    return batch.reward if source is None else source(batch.obs, batch.action)
+
+
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
-    The same seeds, one for each member, give the same run on the same machine. A `frozen_reward`
-    goes with `config.reward`, a `pretrained_policy` with `config.pretrained`, and a `guide`, which
-    acts at the starts of episodes, with `guide_steps`; what is learned may begin with an earlier
-    reward. Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps.
+    Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps. For all
+    other arguments see `train`.
 
     Raises:
         ValueError: something that `config` needs is missing, or does not fit the task.
@@ -76,7 +85,10 @@ class Trainer:
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
         earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
-        self.dims = require_match(config, self.seeds, env, *earlier)
+        with ExitStack() as undo:
+            undo.callback(env.close)
+            self.dims = require_match(config, self.seeds, env, *earlier)
+            undo.pop_all()
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
         self.demonstrations: Batch | None = None
@@ -150,11 +162,12 @@ class Trainer:
 
     def experience(self) -> Experience:
         """Return what a block of steps is trained on."""
-        replay, source = self.collector.replay, self.discriminator or self.frozen_reward
-        # π as it acted, for both of them:
+        # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
+        reward = partial(rewards, self.discriminator or self.frozen_reward, log_pi)
+        replay, shown, rng = self.collector.replay, self.demonstrations, self.rng
         return Experience(
-            self.config, replay, self.demonstrations, self.normaliser, self.rng, source, log_pi
+            self.config, replay, shown, self.normaliser, rng, self.discriminator, log_pi, reward
         )
 
     def start(self) -> None:
@@ -335,11 +348,23 @@ def train(
     progress: bool = True,
     on_evaluation: Callable[[list[Row]], None] | None = None,
 ) -> Run:
-    """Train a population from beginning to end, in memory. For most arguments see `Trainer`.
+    """Train a population from beginning to end, in memory.
 
-    `on_evaluation` is called after each evaluation with a row for each member, for logging; to end
-    early with what is there, it raises `Stop`. `progress` shows a bar. PyTorch's threads are those
-    of `execution` until the end.
+    The same seeds give the same run on the same machine. PyTorch's threads are those of `execution`
+    until the end.
+
+    Args:
+        config: what the run is.
+        seeds: one for each member.
+        demonstrations: of its task, where a reward is learned.
+        frozen_reward: what pays, where `config.reward` is frozen.
+        pretrained_policy: what actors begin with, where `config.pretrained` says so.
+        pretrained_reward: what the learned reward begins with, if that is an earlier one.
+        guide: who acts at the start of episodes, where there are `guide_steps`.
+        execution: where, and how, it is computed.
+        progress: whether a bar is shown.
+        on_evaluation: is called after each evaluation with a row for each member, for logging; to
+            end early with what is there, it raises `Stop`.
     """
 
     def on_advance(rows: list[Row]) -> None:

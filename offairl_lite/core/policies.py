@@ -5,6 +5,7 @@ density of an action that has been rounded to ±1 is lost, that of its `pre_tanh
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
 from functools import singledispatch
 from os import PathLike
@@ -53,7 +54,7 @@ def defensive_log_density(log_prob: Vector, uniform_share: float, action_dim: in
 
 
 @dataclass(frozen=True)
-class Actor:
+class Actor(ABC):
     """What all actors have in common: an architecture with `hidden` layers."""
 
     obs_dim: Count
@@ -81,9 +82,9 @@ class Actor:
         """Return the action tanh(μ(s)), which evaluations use."""
         return torch.tanh(self.net(params, obs))
 
+    @abstractmethod
     def explore(self, params: Params, obs: Obs, noise: Action) -> Action:
         """Return `pre_tanh` of what it does for standard normal `noise`."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ class PPO:
     ) -> Iterator[tuple[Rollout, Action]]:
         """Yield the arguments of the updates on the last block of steps: `EPOCHS` times all."""
         rollout = self.rollout(experience.last(steps))
-        rng, size = experience.rng, experience.batch_size
+        rng, size = experience.rng, experience.config.schedule.batch_size
         for _ in range(EPOCHS):
             order = rng.uniform(steps).argsort(1).split(size, 1)
             noise = rng.normal(steps, self.actor.action_dim).split(size, 1)

@@ -41,7 +41,6 @@ class Batch(NamedTuple):
 
 LogDensity = Callable[[Batch], Float[Tensor, "S B"]]
 """log π of each transition of a scaled batch."""
-
 CHUNK = 50
 """Minibatches that are drawn at a time."""
 

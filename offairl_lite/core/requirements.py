@@ -1,7 +1,6 @@
 """Checks that a run's inputs match its configuration and its task."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -22,14 +21,10 @@ def require_inputs(
     guide: Policy | None,
 ) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
-    inputs: dict[str, tuple[Any, type]] = {
-        "config": (config, Config),
-        "demonstrations": (demonstrations, Demonstrations),
-        "frozen_reward": (frozen_reward, Reward),
-        "pretrained_policy": (pretrained_policy, Policy),
-        "guide": (guide, Policy),
-    }
-    for name, (value, kind) in inputs.items():
+    kinds = {"demonstrations": Demonstrations, "frozen_reward": Reward, "pretrained_policy": Policy}
+    kinds |= {"guide": Policy, "config": Config}
+    inputs = demonstrations, frozen_reward, pretrained_policy, guide, config
+    for (name, kind), value in zip(kinds.items(), inputs, strict=True):
         if not isinstance(value, kind) and (value is not None or name == "config"):
             raise ValueError(f"{name} is {value!r}; expected a {kind.__name__}")
     if config.reward == "gan-gcl":
@@ -45,58 +40,20 @@ def require_inputs(
         raise ValueError(f"reward={config.reward!r} is learned from demonstrations: give some")
     if demonstrations is not None and demonstrations.env_id != config.env_id:
         raise ValueError(f"demonstrations of {demonstrations.env_id} for a run on {config.env_id}")
-    pretrained, guide_steps = config.pretrained, config.schedule.guide_steps
+    frozen, kept, guided = config.reward, config.pretrained, config.schedule.guide_steps
     pairs: list[tuple[str, bool, Population | None]] = [
-        (f"reward={config.reward!r} and a frozen reward", config.reward == "frozen", frozen_reward),
-        (
-            f"pretrained={pretrained!r} and a pretrained policy",
-            pretrained != "nothing",
-            pretrained_policy,
-        ),
-        (f"guide_steps={guide_steps} and a guide", guide_steps > 0, guide),
+        (f"reward={frozen!r} and a frozen reward", frozen == "frozen", frozen_reward),
+        (f"pretrained={kept!r} and a pretrained policy", kept != "nothing", pretrained_policy),
+        (f"guide_steps={guided} and a guide", guided > 0, guide),
     ]
     for pair, is_needed, trained in pairs:
         if is_needed != (trained is not None):
             raise ValueError(f"{pair} go together")
         if trained is not None and len(trained) != len(seeds):
-            numbers = " ".join(map(str, range(len(trained))))
             raise ValueError(
                 f"{pair} of {len(trained)} members for {len(seeds)} seeds: give as many seeds, for "
-                f"instance --seeds {numbers}"
+                f"instance seeds={tuple(range(len(trained)))}"
             )
-
-
-def require_fit(
-    config: Config,
-    env: BatchedEnv | SerialEnv,
-    reward: Reward | None,
-    policy: Policy | None,
-    guide: Policy | None,
-) -> tuple[int, int]:
-    """Return O and A as networks see them; ValueError if earlier networks see other numbers."""
-    (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
-    discriminator = config.discriminator
-    sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
-    if sees is not None and max(sees) >= obs_dim:
-        raise ValueError(
-            f"reward_sees is {sees}; observations of {config.env_id} have {obs_dim} numbers, so "
-            f"expected are indices from 0 to {obs_dim - 1}"
-        )
-    obs_dim += config.schedule.absorbing != "none"
-    if reward is not None:
-        _require_reward_fits(config, reward, obs_dim, action_dim)
-    actor = make_actor(config.learner, obs_dim, action_dim)
-    if policy is not None and policy.actor != actor:
-        raise ValueError(
-            f"the pretrained policy is a {policy.actor}, and the actor of this run a {actor}: "
-            "make the configurations the same"
-        )
-    if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != (obs_dim, action_dim):
-        raise ValueError(
-            f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
-            f"{guide.actor.action_dim}; this run has {obs_dim} and {action_dim}"
-        )
-    return obs_dim, action_dim
 
 
 def require_match(
@@ -109,20 +66,37 @@ def require_match(
     reward: Reward | None,
     guide: Policy | None,
 ) -> tuple[int, int]:
-    """Return O and A as networks see them; close the task and raise ValueError if they do not fit.
+    """Return O and A as networks see them; ValueError says what does not fit the task.
 
     `policy` and `reward` are what a run begins with.
     """
-    try:
-        dims = require_fit(config, env, frozen_reward, policy, guide)
-        if reward is not None:
-            require_pretrained_reward(config, seeds, reward, policy, dims[0])
-        if demonstrations is not None:
-            require_demonstrations(demonstrations, env)
-    except ValueError:
-        env.close()
-        raise
-    return dims
+    (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
+    discriminator = config.discriminator
+    sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
+    if sees is not None and max(sees) >= obs_dim:
+        raise ValueError(
+            f"reward_sees is {sees}; observations of {config.env_id} have {obs_dim} numbers, so "
+            f"expected are indices from 0 to {obs_dim - 1}"
+        )
+    obs_dim += config.schedule.absorbing != "none"
+    if frozen_reward is not None:
+        _require_reward_fits(config, frozen_reward, obs_dim, action_dim)
+    actor = make_actor(config.learner, obs_dim, action_dim)
+    if policy is not None and policy.actor != actor:
+        raise ValueError(
+            f"the pretrained policy is a {policy.actor}, and the actor of this run a {actor}: "
+            "make the configurations the same"
+        )
+    if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != (obs_dim, action_dim):
+        raise ValueError(
+            f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
+            f"{guide.actor.action_dim}; this run has {obs_dim} and {action_dim}"
+        )
+    if reward is not None:
+        require_pretrained_reward(config, seeds, reward, policy, obs_dim)
+    if demonstrations is not None:
+        require_demonstrations(demonstrations, env)
+    return obs_dim, action_dim
 
 
 def require_pretrained_reward(

@@ -15,10 +15,7 @@ from offairl_lite.core.rewards import Reward
 
 
 def scaling_of(
-    config: Config,
-    replay: Replay,
-    demonstrations: Batch | None,
-    pretrained: Policy | Reward | None,
+    config: Config, replay: Replay, demonstrations: Batch | None, pretrained: Policy | Reward | None
 ) -> Normaliser:
     """Return the scaling by what each member has seen and, half and half, what it was shown.
 

@@ -13,7 +13,7 @@ Importing this package registers its own tasks with Gymnasium, for `gymnasium.ma
 import importlib
 import sys
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from copy import deepcopy
 from difflib import get_close_matches
@@ -22,9 +22,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.spaces import Box, Dict, Discrete, Space
+from gymnasium.spaces import Box, Dict, Discrete, Space, flatten_space
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import FlattenObservation
 
 from offairl_lite.config.settings import Count, checked
 from offairl_lite.envs.batched import Batch, BatchedEnv, member_seeds
@@ -32,7 +33,7 @@ from offairl_lite.envs.serial import SerialEnv, TaskError, own_code
 from offairl_lite.envs.tasks import TASKS
 
 __all__ = ["TASKS", "BatchedEnv", "OneHotActions", "SerialEnv", "SingleEnv", "TaskError"]
-__all__ += ["AnyTask", "make", "register", "require_boxes", "spaces", "spec"]
+__all__ += ["AnyTask", "flatten", "make", "parts", "register", "require_boxes", "spaces", "spec"]
 
 AnyTask = str | gymnasium.Env | Callable[[], gymnasium.Env]
 """A Gymnasium id, an environment, or a function that makes one."""
@@ -109,15 +110,15 @@ def spec(env_id: str) -> EnvSpec:
             cure += "folder to PYTHONPATH"
         raise ModuleNotFoundError(f"{env_id}: {error}; {cure}") from error
     except gymnasium.error.Error as error:
+        near = " or ".join(get_close_matches(name, gymnasium.registry))
+        near = f"; did you mean {near}?" if near else ""
+        why = f"unknown environment {env_id!r}"
         if module:
-            near = " or ".join(get_close_matches(name, gymnasium.registry))
-            why = f"{getattr(sys.modules[module], '__file__', module)} does not register {name!r}"
-            why += f"; did you mean {near}?" if near else ""
-            raise ValueError(f"unknown environment {env_id!r}: {why}") from error
+            file = getattr(sys.modules[module], "__file__", module)
+            raise ValueError(f"{why}: {file} does not register {name!r}{near}") from error
         raise ValueError(
-            f"unknown environment {env_id!r}. Known are {', '.join(TASKS)}, and Gymnasium's. If it "
-            "is your own, name the module that calls gymnasium.register: "
-            f"--env-id my_module:{name or 'MyTask-v0'}"
+            f"{why}{near or '.'} Known are {', '.join(TASKS)}, and Gymnasium's. Your own has the "
+            f"module that registers it in its name: my_module:{name or 'MyTask-v0'}"
         ) from error
 
 
@@ -147,17 +148,16 @@ def register(env: AnyTask, env_id: str | None = None) -> str:
 
 
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
-    """Return a task's spaces; ValueError unless both are boxes with one axis.
+    """Return a task's spaces; ValueError unless both are boxes with one axis, or can be made so.
 
-    The action space must consist of floats with finite bounds, low < high. The message says how to
-    wrap a task that has others.
+    Observations that are dictionaries are flattened. The action space must consist of floats with
+    finite bounds, low < high. The message says how to wrap a task that has others.
     """
+    if isinstance(observation_space, Dict):
+        observation_space = flatten_space(observation_space)
     for name, space in (("observation", observation_space), ("action", action_space)):
         if not isinstance(space, Box) or len(space.shape) != 1 or 0 in space.shape:
             cure = "see gymnasium.wrappers.FlattenObservation"
-            if isinstance(space, Dict):
-                keys = ", ".join(map(str, space))
-                cure = f"FlattenObservation puts its parts one after another: {keys}"
             if isinstance(space, Discrete) and name == "action":
                 cure = "offairl_lite.envs.OneHotActions chooses the action whose number is largest"
             raise ValueError(
@@ -167,38 +167,73 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
             )
     assert isinstance(observation_space, Box)
     assert isinstance(action_space, Box)
+    where = f"{env_id}: the action space {action_space}"
     if not np.issubdtype(action_space.dtype, np.floating):
-        raise ValueError(
-            f"{env_id}: the action space {action_space} must be a Box of floats: round in the "
-            "task's own step"
-        )
+        raise ValueError(f"{where} must be a Box of floats: round in the task's own step")
     if not action_space.is_bounded():
         raise ValueError(
-            f"{env_id}: the action space {action_space} has no bounds, from which random actions "
-            "are drawn: give it some that no demonstrated action exceeds, gymnasium."
-            "wrappers.TransformAction(env, lambda a: a, gymnasium.spaces.Box(-10, 10, "
-            f"{action_space.shape}))"
+            f"{where} has no bounds, from which random actions are drawn: give it some that no "
+            "demonstrated action exceeds, gymnasium.wrappers.TransformAction(env, lambda a: a, "
+            f"gymnasium.spaces.Box(-10, 10, {action_space.shape}))"
         )
     if not (action_space.low < action_space.high).all():
-        raise ValueError(
-            f"{env_id}: the action space {action_space} must have low < high: leave out what "
-            "cannot be chosen"
-        )
+        raise ValueError(f"{where} must have low < high: leave out what cannot be chosen")
     return observation_space, action_space
 
 
-_SPACES: dict[str, tuple[EnvSpec, Box, Box]] = {}
-"""The spaces of tasks that were made, as long as they are registered as they were."""
+_SPACES: dict[str, tuple[EnvSpec, Space, Box, Box]] = {}
+"""The spaces of tasks that were made, as long as they are registered as they were: that of
+observations as the task has it, and those of vectors."""
+
+
+def parts(env_id: str) -> list[str]:
+    """Return the parts of a task's observations in their order in a vector, if they have names."""
+    spaces(env_id)
+    space = _SPACES[env_id][1]
+    return [*map(str, space)] if isinstance(space, Dict) else []
+
+
+def flatten(task: str | Space, obs: Any) -> Any:
+    """Return observations as networks see them: parts of a dictionary in the order of its space.
+
+    Args:
+        task: its id, or the space of its observations.
+        obs: an observation, a dictionary of arrays (..., N), or a list of dictionaries. What is
+            none of these is returned as it is.
+
+    Raises:
+        ValueError: there are other parts than the task has, or they have different lengths.
+    """
+    if isinstance(task, str):
+        spaces(task)
+        task = _SPACES[task][1]
+    if isinstance(task, Dict) and isinstance(obs, Mapping):
+        if obs.keys() != task.keys():
+            raise ValueError(f"observations have the parts {[*obs]}; expected {[*task]}")
+        return np.concatenate([_vectors(space, obs[name]) for name, space in task.items()], -1)
+    several = isinstance(obs, list | tuple | np.ndarray) and np.size(obs)
+    if isinstance(task, Dict) and several and isinstance(obs[0], Mapping):
+        return np.stack([flatten(task, one) for one in obs])
+    return obs
+
+
+def _vectors(space: Space, part: Any) -> np.ndarray:
+    """Return one part of an observation, or of several, as vectors."""
+    if isinstance(space, Dict):
+        return flatten(space, part)
+    if np.ndim(part) > len(space.shape or ()):
+        return np.stack([_vectors(space, one) for one in part])
+    return np.asarray(gymnasium.spaces.flatten(space, part))
 
 
 def spaces(env_id: str) -> tuple[Box, Box]:
-    """Return a task's spaces of observations and actions; it is made once for that, if ever."""
+    """Return a task's spaces of observations, flattened, and actions; it is made once at most."""
     registered = spec(env_id)  # Its error for an unknown task is more helpful than Gymnasium's.
     if env_id not in _SPACES or _SPACES[env_id][0] is not registered:
         with own_code(env_id, "making"), closing(gymnasium.make(env_id)) as env:
             boxes = env.observation_space, env.action_space
-        _SPACES[env_id] = registered, *require_boxes(env_id, *boxes)
-    return _SPACES[env_id][1:]
+        _SPACES[env_id] = registered, boxes[0], *require_boxes(env_id, *boxes)
+    return _SPACES[env_id][2:]
 
 
 def make(
@@ -211,9 +246,9 @@ def make(
 ) -> BatchedEnv | SerialEnv:
     """Return a vector environment with one member per seed, without automatic resets.
 
-    `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces,
-    whose members are then stepped one after another; so are Gymnasium's of `TASKS` with MuJoCo 3. A
-    single seed s stands for s, s + 1, ...
+    `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces, or
+    dictionaries of observations, which are flattened. Its members are then stepped one after
+    another; so are Gymnasium's of `TASKS` with MuJoCo 3. A single seed s stands for s, s + 1, ...
 
     Members start when the first `reset()` is called. A finished member must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
@@ -247,10 +282,13 @@ def make(
             with own_code(env_id, "making"):
                 members.append(gymnasium.make(env_id, **options))
             undo.callback(members[-1].close)
-        seen, units = require_boxes(env_id, members[0].observation_space, members[0].action_space)
+        seen = members[0].observation_space
+        flat, units = require_boxes(env_id, seen, members[0].action_space)
+        if flat is not seen:
+            members = [FlattenObservation(member) for member in members]
         env = SerialEnv(members, units, seeds)
         undo.pop_all()
-    _SPACES[env_id] = registered, seen, units
+    _SPACES[env_id] = registered, seen, flat, units
     return env
 
 

@@ -59,19 +59,15 @@ def crossed(*axes: Mapping[str, Changes]) -> dict[str, Changes]:
 
 LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 
+SMALL: Changes = dict.fromkeys(("hidden", "reward_hidden", "shaping_hidden"), (64, 64))
 SMALL_MCP = {"trunk_hidden": (64,), "primitive_hidden": (64,), "gate_hidden": (64, 64)}
 
 # PPO, for the on-policy methods. Its policy is wide at first and remains so: the noise of its
 # actions is all that leads it out of the trap.
 ON_POLICY: Changes = {
-    "learner": "ppo",
-    "temperature": 1e-3,
-    "log_std_range": (-2.0, 2.0),
-    "train_every": 2_000,
-    "replay_size": 2_000,
-    "learning_starts": 2_000,
+    **{"learner": "ppo", "temperature": 1e-3, "log_std_range": (-2.0, 2.0), "batch_size": 250},
+    **dict.fromkeys(("train_every", "replay_size", "learning_starts"), 2_000),
     "discriminator_updates": 100,
-    "batch_size": 250,
 }
 
 SIGNS = {

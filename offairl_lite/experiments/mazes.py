@@ -18,16 +18,8 @@ MAZE_FULL = CORRECTED.change(
 )
 
 # Small networks and batches and faster targets: a minute or two for five seeds on a laptop.
-MAZE_DEMO = MAZE_FULL.change(
-    total_steps=6_000,
-    learning_starts=3_000,
-    batch_size=64,
-    hidden=(64, 64),
-    reward_hidden=(64, 64),
-    shaping_hidden=(64, 64),
-    target_rate=0.01,
-    eval_every=1_000,
-)
+_STEPS = {"total_steps": 6_000, "learning_starts": 3_000, "eval_every": 1_000}
+MAZE_DEMO = MAZE_FULL.change(batch_size=64, target_rate=0.01, **_STEPS, **base.SMALL)
 
 _maze = partial(experiment, {"demo": MAZE_DEMO, "full": MAZE_FULL})
 
@@ -130,10 +122,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "What came before off-policy AIRL: AIRL with PPO, with r(s) and r(s, a)",
         {**base.ON_POLICY, **_OF_STATE},
         demo=_ON_POLICY_DEMO,
-        variants={
-            "state": _OF_STATE,
-            "state-action": base.REWARDS["implementation-1"],
-        },
+        variants={"state": _OF_STATE, "state-action": base.REWARDS["implementation-1"]},
     ),
     "maze-retraining": _maze(
         "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",

@@ -13,14 +13,7 @@ ANT, DISABLED = "offairl/CustomAnt-v0", "offairl/DisabledAnt-v0"
 # Members end their episodes at different times, so they train every 1,000 steps.
 _FULL = CORRECTED.change(train_every=1_000)
 
-_DEMO = _FULL.change(
-    total_steps=20_000,
-    hidden=(64, 64),
-    reward_hidden=(64, 64),
-    shaping_hidden=(64, 64),
-    eval_every=2_000,
-    eval_episodes=2,
-)
+_DEMO = _FULL.change(total_steps=20_000, eval_every=2_000, eval_episodes=2, **base.SMALL)
 
 # Demonstrations of the experts that there were when the records were made: one, and later two.
 _robot = partial(experiment, {"demo": _DEMO, "full": _FULL}, experts={"demo": 1, "full": 2})
@@ -127,14 +120,8 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "hopper-absorbing": _robot(
         "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
         {**_HOPPER, **_DAC},
-        demo={
-            "total_steps": 12_000,
-            "learning_starts": 2_000,
-            "train_every": 250,
-            "batch_size": 64,
-            "temperature": None,
-            "target_rate": 0.01,
-        },
+        demo={"total_steps": 12_000, "learning_starts": 2_000, "train_every": 250, "batch_size": 64}
+        | {"temperature": None, "target_rate": 0.01},
         # What the end of an episode is worth to an imitator: each reward, with each way to go on.
         variants=crossed(
             {name: base.REWARDS[name] for name in ("dac", "implementation-4")},
@@ -160,14 +147,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         variants=_WHAT_DECIDES,
     ),
     "benchmark": _robot(
-        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give --trajectories",
+        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give trajectories=",
         {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_BENCHMARK,
         experts=_BEST,
     ),
     "benchmark-warm": _robot(
-        "The recipe from a clone: give --trajectories, --pretrained-policy and --only, one robot",
+        "The recipe from a clone: give trajectories=, pretrained_policy= and only=, one robot",
         {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
         demo=_LONG,
         variants=_WARM,
@@ -190,7 +177,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         seeds=_FEW,
     ),
     "imitate": _robot(
-        "Off-policy AIRL by the recipe, on a task of your own: give --env-id and --dataset",
+        "Off-policy AIRL by the recipe, on a task of your own: give env_id= and dataset=",
         {"learning_starts": 1_000, **_RELEASED},
         demo={"train_every": 200, "eval_episodes": 10},
         experts=base.ALL_EXPERTS,

@@ -117,7 +117,7 @@ def peer(library: str, hidden: tuple[int, ...]) -> Callable[[], object]:
     try:
         sac = importlib.import_module(module).SAC
     except ImportError as error:
-        cure = f"pip install 'offairl-lite[{library}]', or leave out --against {library}"
+        cure = f"pip install 'offairl-lite[{library}]', or leave out against={library}"
         raise ModuleNotFoundError(f"{name} is not installed: {cure}") from error
     env, layers = gymnasium.make(TASK), {"net_arch": [*hidden]}
     starts: dict[str, Any] = {"batch_size": BATCH, "learning_starts": 2 * CHUNK}

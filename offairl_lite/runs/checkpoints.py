@@ -41,7 +41,6 @@ Found = tuple[dict[str, Tensor], dict[str, Any]]
 """A checkpoint: the trainer's state, and what is said about it."""
 FORMAT = 4
 """Of checkpoints; it changes when older ones can no longer be resumed."""
-
 BLOCK = 1024
 """Places in the replay, with the rows of all members, that have one checksum."""
 

@@ -24,7 +24,7 @@ from offairl_lite.core.rollouts import rollout
 from offairl_lite.experiments import EXPERIMENTS, find
 from offairl_lite.minari_storage import closed_task
 from offairl_lite.runs import export as exports
-from offairl_lite.runs import folders, inputs, launch, records
+from offairl_lite.runs import folders, inputs, launch, messages, records
 from offairl_lite.runs import tensorboard as logs
 from offairl_lite.runs.bench import Options, estimate, measure, table
 from offairl_lite.scale import Scale, current
@@ -40,7 +40,7 @@ def list_experiments(name: Positional[str | None] = None, *, times: bool = False
     """
     print("Experiments (offairl run NAME):")
     for title, experiment in (EXPERIMENTS if name is None else {name: find(name)}).items():
-        print(f"  {title:16} {experiment.about}")
+        print(f"  {title:16} {messages.in_options(experiment.about)}")
         for size, config in experiment.configs.items():
             seeds = len(experiment.seeds[size])
             runs = [config.change(**c) for c in experiment.variants.values()] or [config]
@@ -111,11 +111,11 @@ def demos(
     print(f"actions use {', '.join(f'{share:.0f}' for share in used)} % of their ranges")
     limit = envs.spec(env_id).max_episode_steps or np.inf
     if at_limit := (ended & (lengths == limit)).sum():
-        note = f"note: {at_limit} terminated in the last step of the time limit; if the limit ended"
-        print(f"{note} them, write them with terminated=False", file=sys.stderr)
+        note = f"{at_limit} terminated in the last step of the time limit; if the limit ended"
+        messages.note(f"{note} them, write them with terminated=False")
     if longer := (lengths > limit).sum():
-        note = f"note: episodes longer than the time limit of {limit} steps: {longer}; if they are"
-        print(f"{note} several in one, write them as several recordings", file=sys.stderr)
+        note = f"episodes longer than the time limit of {limit} steps: {longer}; if they are"
+        messages.note(f"{note} several in one, write them as several recordings")
 
 
 def clone(
@@ -135,8 +135,8 @@ def clone(
 
     Args:
         env_id: Gymnasium id of the task.
-        out: the policy's file, such as clones/hopper.safetensors, for `watch`, `demos --policy` or
-            `run --pretrained policy --pretrained-policy`.
+        out: the policy's file, such as clones/hopper.safetensors, for `watch`, `export`, `demos
+            --policy` or `run --pretrained policy --pretrained-policy`.
         dataset: a Minari data set of your own; by default the shipped experts'.
         trajectories: how many of its episodes to use; by default all, and 50 of the experts.
         experts: how many of the shipped experts show the task, from the first on; or best.
@@ -227,29 +227,30 @@ def tensorboard(run: Positional[Path], *, out: Path | None = None, follow: bool 
 
 
 def export(
-    run: Positional[Path],
+    source: Positional[Path],
     *,
     out: Path,
     member: int | None = None,
     env_id: str | None = None,
     step: int | None = None,
 ) -> None:
-    """Write the policies and rewards of a run for programs that know nothing of this package.
+    """Write policies, and rewards, of a run or a file for programs that do not know this package.
 
     Each is an ONNX file, if ONNX is installed, and a program of PyTorch. They take the observations
     of the task, and give and take actions in its own units. OUT/README.txt tells how to load them.
 
     Args:
-        run: the folder of a run that has ended.
+        source: the folder of a run that has ended, or a policy's file, such as a clone.
         out: the folder for the files; those of an earlier export are overwritten.
         member: which member of the population; by default every one that has not diverged.
         step: of the evaluation whose policies and rewards are written; by default those of the end.
-        env_id: the run's task, my_module:MyTask-v0, where that is in a module of your own.
+        env_id: the task, my_module:MyTask-v0, where that is in a module of your own.
     """
-    for part in records.run_folders(run):
+    for part in [] if source.is_file() else records.run_folders(source):
         folders.known(part, env_id, f"export --out {out}")
-    notes = exports.export(run, out, member, step)
-    print(*(f"note: {note}" for note in notes), sep="\n", end="\n" * bool(notes), file=sys.stderr)
+    notes = exports.export(source, out, member, step, env_id)
+    for note in notes:
+        messages.note(note)
     print(f"exported to {out}; how to load it: {out / 'README.txt'}")
 
 
@@ -319,25 +320,17 @@ def main(args: Sequence[str] | None = None) -> None:
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
     sys.path.append(str(Path.cwd()))
     args = in_current_words(sys.argv[1:] if args is None else args)
-    with folders.one_line():
+    with messages.one_line():
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
         name = next((arg for arg in free if arg in EXPERIMENTS), "imitate")
         scale = dict(pairwise(args)).get("--scale")
         size: Scale = "full" if scale == "full" else "demo" if scale == "demo" else current()
-        commands: dict[str, Callable[..., Any]] = {
-            "list": list_experiments,
-            "run": launch.run_command(name, size),
-            "resume": launch.resume,
-            "demos": demos,
-            "clone": clone,
-            "watch": watch,
-            "tensorboard": tensorboard,
-            "export": export,
-            "verify": verify,
-            "bench": bench,
-        }
+        commands: dict[str, Callable[..., Any]] = {"list": list_experiments}
+        commands |= {"run": launch.run_command(name, size), "resume": launch.resume}
+        others = demos, clone, watch, tensorboard, export, verify, bench
+        commands |= {command.__name__: command for command in others}
         tyro.extras.subcommand_cli_from_dict(
             commands, prog="offairl", description=inspect.getdoc(main), args=args
         )

@@ -9,8 +9,8 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from glob import escape
 from os import PathLike
@@ -18,18 +18,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
-import gymnasium
-import torch
-
 from offairl_lite import envs
-from offairl_lite.config.settings import Natural, checked
+from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Stop, Trainer, complete, train
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs import checkpoints, inputs, jobs, records
+from offairl_lite.runs import checkpoints, inputs, jobs, messages, records
 from offairl_lite.runs.records import RunSpec, again, origin, read_state, run_folders, write_json
 
 log = logging.getLogger(__name__)
@@ -50,7 +47,7 @@ def create(
     existing = records.beginning(folder)
     taken = FileExistsError(
         f"{folder} is not empty: `offairl resume {folder}` goes on with a run, if one is there; "
-        "for a new one choose another --out, or remove it"
+        "for a new one choose another folder, or remove this one"
     )
     if existing == folder and any(folder.iterdir()):
         raise taken
@@ -156,12 +153,8 @@ class _Worker:
         past = status.get("continued", [])
         if news := records.changed([status, *past][-1], now):
             if news.keys() != {"commit"}:
-                changes = "; ".join(
-                    f"{key}: {here}, before {was}" for key, (was, here) in news.items()
-                )
-                log.warning(
-                    "%s goes on from step %d with other %s", self.folder, self.step, changes
-                )
+                changes = "; ".join(f"{key}: {b}, before {a}" for key, (a, b) in news.items())
+                log.warning(f"{self.folder} goes on from step {self.step} with other {changes}")
             status["continued"] = [*past, {"step": self.step, **now}]
             write_json(self.folder / "run.json", status)
 
@@ -249,7 +242,7 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
     finished run keeps its policies and rewards until the longer one has its own.
     """
     before = {path: known(path) for path in run_folders(folder)}
-    changes = {} if steps is None else {"total_steps": steps}
+    changes = {} if steps is None else {"total_steps": checked("steps", steps, Count)}
     specs = {p: replace(spec, config=spec.config.change(**changes)) for p, spec in before.items()}
     with ExitStack() as locks:
         for path, spec in specs.items():
@@ -333,7 +326,7 @@ def main() -> None:
     folder, *rest = sys.argv[1:]
     for parent in rest[1:]:
         threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
-    with one_line():
+    with messages.one_line():
         known(Path(folder), *rest[:1])
         work(folder, progress=False)
 
@@ -343,37 +336,6 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(jobs.POLL_S)
     os.kill(os.getpid(), signal.SIGINT)
-
-
-@contextmanager
-def one_line() -> Iterator[None]:
-    """End the process with one line, in the place of a traceback, about what a user can mend."""
-    try:
-        with jobs.terminable():
-            yield
-    except KeyboardInterrupt:
-        sys.exit("offairl: stopped")
-    except BrokenPipeError:  # of `offairl list | head`, which has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except Exception as error:
-        known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
-        why = str(error)
-        if _lacks_memory(error):
-            cure = "lower batch_size, replay_size or hidden, or give fewer seeds or processes"
-            why = f"there is not enough memory: {cure}"
-        elif not isinstance(error, known):
-            raise
-        elif getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            why = "the disk is full: free some of it"
-        sys.exit("; ".join([f"offairl: {why}", *getattr(error, "__notes__", ())]))
-
-
-def _lacks_memory(error: Exception) -> bool:
-    """Tell whether memory is what is missing; PyTorch has no type of its own for that on a CPU."""
-    if isinstance(error, OSError):
-        return error.errno == errno.ENOMEM
-    known = isinstance(error, MemoryError | torch.OutOfMemoryError)
-    return known or (type(error) is RuntimeError and "DefaultCPUAllocator" in str(error))
 
 
 if __name__ == "__main__":

@@ -81,8 +81,8 @@ def points(
         conflicts = sorted(n for n in changes.keys() & chosen.keys() if changes[n] != chosen[n])
         if conflicts:
             raise ValueError(
-                f"{variant} sets {' and '.join(conflicts)} itself: vary that with --grid, which "
-                "comes last, or choose other runs with --only"
+                f"{variant} sets {' and '.join(conflicts)} itself: vary that with grid=, which "
+                "comes last, or choose other runs with only="
             )
         settings = {**changes, **chosen}
         used = used_settings(base.flat() | settings)
@@ -106,9 +106,10 @@ def grid(config: Config, axes: Sequence[str]) -> dict[str, Config]:
         name, equals, texts = axis.partition("=")
         (name,) = current({name.replace("-", "_"): None})
         if not equals or name in values:
-            raise ValueError(f"--grid {axis}: expected SETTING=VALUE,VALUE, and each setting once")
+            raise ValueError(f"grid={axis}: expected SETTING=VALUE,VALUE, and each setting once")
         if name not in known:
-            raise ValueError(f"no setting {name!r} to vary; there are: {', '.join(known)}")
+            names = ", ".join(known).replace("_", "-")
+            raise ValueError(f"no setting {name!r} to vary; there are: {names}")
         values[name] = [(name, _value(name, text, known[name][0])) for text in texts.split(",")]
     configs: dict[str, Config] = {}
     for point in itertools.product(*values.values()):

@@ -27,25 +27,25 @@ from offairl_lite.runs.records import RunSpec, again, file_name, join, read, run
 log = logging.getLogger(__name__)
 
 CURES = {
-    "frozen_reward": "--reward frozen",
-    "pretrained_policy": "--pretrained policy",
-    "pretrained_reward": "--reward r-s",
-    "guide": "--guide-steps 50",
+    "frozen_reward": "reward='frozen'",
+    "pretrained_policy": "pretrained='policy'",
+    "pretrained_reward": "reward='r-s'",
+    "guide": "guide_steps=50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
-
 COPY = "demonstrations.safetensors"
 """Where a run folder has demonstrations that could not be loaded again."""
 
 
-def needed(config: Config) -> dict[str, Any]:
-    """Return what a configuration needs of other runs: for each name `Reward` or `Policy`."""
+def needed(config: Config, files: Mapping[str, Any] = {}) -> dict[str, Any]:
+    """Return what a configuration needs or may have of other runs: for each name its type."""
     uses = {
         "frozen_reward": config.reward == "frozen",
         "pretrained_policy": config.pretrained != "nothing",
         "guide": config.schedule.guide_steps > 0,
+        "pretrained_reward": files.get("pretrained_reward"),
     }
-    return {name: Reward if name == "frozen_reward" else Policy for name in uses if uses[name]}
+    return {name: Reward if "reward" in name else Policy for name in uses if uses[name]}
 
 
 def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[str, Any]:
@@ -55,12 +55,11 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     than the seeds. ValueError says that a file is needed and not given, or holds something else.
     """
     loaded = {}
-    optional = {"pretrained_reward": Reward} if files.get("pretrained_reward") else {}
-    for name, kind in {**needed(config), **optional}.items():
+    for name, kind in needed(config, files).items():
         if not files.get(name):
             raise ValueError(
                 f"a {name.replace('_', ' ')} of another run is needed: give "
-                f"--{name.replace('_', '-')} RUN/{file_name(kind)}, or RUN"
+                f"{name}=RUN/{file_name(kind)}, or RUN"
             )
         loaded[name] = join([load_one(path, kind) for path in files[name]])
         if name == "guide":
@@ -135,8 +134,7 @@ def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
     A record may lack the copies. They are then made again from the files that the run names.
     """
     loaded = {}
-    optional = {n: Reward for n in spec.inherited if n == "pretrained_reward"}
-    for name, kind in {**needed(spec.config), **optional}.items():
+    for name, kind in needed(spec.config, spec.inherited).items():
         copy, source = folder / f"{name}.safetensors", spec.inherited.get(name, {})
         where = [copy] if copy.is_file() else source.get("files") or [copy]
         network = join([load_one(file, kind) for file in where])

@@ -27,7 +27,6 @@ from tqdm.auto import tqdm
 Engine = Literal["processes", "ray"]
 Attempt = Callable[[Path, threading.Event], str]
 """Runs a job, or ends it when the event is set. It returns nothing, or what went wrong."""
-
 POLL_S = 1.0
 """Seconds between two looks at the jobs."""
 GRACE_S = 10.0

@@ -20,7 +20,7 @@ from offairl_lite.core.acceleration import Execution, choose_execution, is_large
 from offairl_lite.core.results import Run
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.experiments import EXPERIMENTS, find
-from offairl_lite.runs import checkpoints, folders, inputs, jobs, preflight, records
+from offairl_lite.runs import checkpoints, folders, inputs, jobs, messages, preflight, records
 from offairl_lite.runs.grid import options, points
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
@@ -94,8 +94,7 @@ class RunInputs:
         for name, why in unused.items():
             if (value := getattr(self, name)) != getattr(default, name):
                 value = " ".join(map(str, value)) if isinstance(value, tuple) else value
-                option = f"--{name.replace('_', '-')}"
-                raise ValueError(f"{option} {value} would not be used{why} leave it out")
+                raise ValueError(f"{name}={value} would not be used{why} leave it out")
 
 
 def run_command(name: str, size: Scale) -> Callable[..., None]:
@@ -139,7 +138,7 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
                 one run of large networks, whose seeds are then spread over them.
             engine: processes on this machine, or on a Ray cluster.
             address: of the Ray cluster, auto on one of its nodes; by default a local one.
-            given: what the runs are given beside their configuration.
+            run_inputs: what the runs are given beside their configuration.
             schedule: when things happen, and on what, in all runs.
             learner: what trains the policy.
             discriminator: what the reward is learned by.
@@ -151,7 +150,7 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
             )
         checked("processes", processes, Count | None)
         if not seeds:
-            raise ValueError("seeds are (); expected at least one: --seeds 0 1 2")
+            raise ValueError("seeds are (); expected at least one: seeds=(0, 1, 2)")
         configs = points(defined, scale, {**schedule, **learner, **discriminator}, grid, only)
         for config in configs.values():
             envs.spec(config.env_id)  # It imports a module that is named.
@@ -179,11 +178,9 @@ def run_command(name: str, size: Scale) -> Callable[..., None]:
 def _reward_of(run: str, scale: Scale) -> str:
     """Return what to type to have the reward of another experiment, or of one of its runs."""
     other, _, variant = run.partition("/")
-    first = f"{other}{f' --only {variant}' if variant else ''} --scale {scale}"
+    first = f"`offairl run {other}{f' --only {variant}' * bool(variant)} --scale {scale}`"
     folder = Path("runs") / f"{other}-{scale}" / variant
-    return (
-        f"the reward of another run: first `offairl run {first}`, then add --frozen-reward {folder}"
-    )
+    return f"the reward of another run: first {first}, then add frozen_reward={folder}"
 
 
 def _create(
@@ -210,28 +207,22 @@ def _create(
             demos = data[env_id] = data.get(env_id) or run_inputs.load_demonstrations(env_id)
         execution = run_inputs.execution(config)
         for note in notes + preflight.check(config, seeds, demos, networks):
-            print(f"note: {note}", file=sys.stderr)
+            messages.note(note)
         for option, network in networks.items():
             one, other = (task.split(":")[-1] for task in (network.env_id, env_id))
             if one != other and not find(experiment).reward_from:  # These experiments mean it.
                 name_of = option.replace("_", " ")
-                note = f"the {name_of} is of {one}, this run of {other}; only sizes are checked"
-                print(f"note: {note}", file=sys.stderr)
+                text = f"the {name_of} is of {one}, this run of {other}; only sizes are checked"
+                messages.note(text)
         parts = max(min(spread[name], len(missing[name])), 1)
         for part in np.array_split(missing[name], parts):
             some, folder, mine, members = tuple(part.tolist()), place / name, networks, None
             if len(some) < len(seeds):
                 folder, members = folder / seeds_name(some), [seeds.index(seed) for seed in some]
                 mine = {name: network.member(*members) for name, network in networks.items()}
+            shown, began = inputs.describe(demos), inputs.inherited(mine, run_inputs.files, members)
             spec = RunSpec(
-                config,
-                some,
-                asdict(execution),
-                inputs.describe(demos),
-                CHECKPOINT_EVERY,
-                experiment,
-                scale,
-                inputs.inherited(mine, run_inputs.files, members),
+                config, some, asdict(execution), shown, CHECKPOINT_EVERY, experiment, scale, began
             )
             todo.append((folder, spec, mine))
     checkpoints.require_room(place, sum(checkpoints.disk_space(spec) for _, spec, _ in todo))
@@ -263,7 +254,7 @@ def _missing_seeds(
             changes["seeds"] = spec.seeds, tuple(seeds)
         changed = {name: pair for name, pair in changes.items() if pair[0] != pair[1]}
         if changed:
-            cure, steps = "give the same, or choose another --out", config.total_steps
+            cure, steps = "give the same, or choose another folder", config.total_steps
             if len(changed) == 1 and spec.config.total_steps < steps:
                 cure = f"{records.again(path, spec, f'resume --steps {steps}')} extends it"
             said = ", ".join(f"{name} {old!r}, not {new!r}" for name, (old, new) in changed.items())

@@ -17,8 +17,6 @@ from offairl_lite.runs import records
 
 COLOURS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.RED, plots.PURPLE)
 """Of the first five seeds; those of the next five are dashed."""
-
-
 RETURN = "return, by the task's own reward"
 LEARNED = "return, by the frozen reward:\nit should rise"
 

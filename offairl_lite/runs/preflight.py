@@ -17,6 +17,7 @@ from offairl_lite.core.requirements import require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.demonstrations import Demonstrations
+from offairl_lite.runs import inputs
 
 
 def try_out(env_id: str, seed: int) -> list[str]:
@@ -26,6 +27,9 @@ def try_out(env_id: str, seed: int) -> list[str]:
     """
     notes = []
     with closing(envs.make(env_id, 1, [seed])) as env:
+        if names := envs.parts(env_id):
+            order = f"flattened in the order {', '.join(names)}"
+            notes.append(f"{env_id}: observations are dictionaries, {order}")
         env.reset()
         ended = _step(env, 0.5)
         try:
@@ -45,31 +49,24 @@ def try_out(env_id: str, seed: int) -> list[str]:
 def check(
     config: Config, seeds: Sequence[int], demos: Demonstrations | None, networks: Mapping[str, Any]
 ) -> list[str]:
-    """Return what a user should know of a run on `shown` and `things` of other runs.
+    """Return what a user should know of a run on `demos` and `networks` of other runs.
 
     ValueError says what does not fit. The task is not made for that, if it was tried out.
     """
     seen, units = envs.spaces(config.env_id)
-    ones = np.ones_like(units.low)
-    env: Any = SimpleNamespace(
-        single_observation_space=seen, single_action_space=Box(-ones, ones), close=lambda: None
-    )
-    inherited = {
-        name: networks.get(name) for name in ("frozen_reward", "pretrained_policy", "guide")
-    }
-    require_inputs(config, seeds, demos, **inherited)
-    frozen, policy, guide = inherited.values()
-    require_match(
-        config, seeds, env, demos, frozen, policy, networks.get("pretrained_reward"), guide
-    )
+    scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))
+    env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=scaled)
+    frozen, policy, reward, guide = map(networks.get, inputs.CURES)
+    require_inputs(config, seeds, demos, frozen, policy, guide)
+    require_match(config, seeds, env, demos, frozen, policy, reward, guide)
     if demos is None:
         return []
     notes, ends = [], int(demos.transitions.terminated.sum())
     own_data = (demos.source or {"dataset": ""})["dataset"] is not None
     if ends and own_data and config.schedule.absorbing == "none":
         notes.append(
-            f"{ends} of {len(demos)} demonstrations terminate; absorbing is none: see "
-            '"Two questions" in book/recipe.md'
+            f"{ends} of {len(demos)} demonstrations terminate; to learn that something comes after "
+            "the end, set absorbing='bootstrap' (\"Can an episode end early?\" in book/recipe.md)"
         )
     if sees_actions(config) and (np.ptp(demos.transitions.action.numpy(), axis=0) == 0).all():
         notes.append(

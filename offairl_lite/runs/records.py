@@ -46,20 +46,17 @@ from offairl_lite.core.rewards import Reward
 
 FORMAT = 3
 """Of run folders; it changes when older ones can no longer be read."""
-
 METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
     *("temperature", "entropy", "excess", "multiplier"),
 )
 """Diagnostics of the last update before an evaluation. New ones are added at the end, so that older
 curves can still be read."""
-
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
 
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 """What `run.json` has as the state of a run that is not gone on with."""
-
 PICTURE = "curve.png"
 
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
@@ -98,8 +95,8 @@ class RunSpec:
         path = Path(folder) / "config.json"
         if path.parent.is_file():
             raise ValueError(
-                f"{folder} is a file, and not the folder of a run. A policy's is for `offairl "
-                "watch`, `demos --policy` and `run --pretrained policy --pretrained-policy`, and "
+                f"{folder} is a file, and not the folder of a run. If it is a policy's, `offairl "
+                "watch` and `offairl export` take it, pretrained_policy begins with it, and "
                 "`core.rollouts.action(Policy.load(FILE), obs, env.action_space)` acts"
             )
         if not path.is_file():
@@ -337,7 +334,7 @@ def beginning(folder: Path) -> Path:
     """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
-        raise NotADirectoryError(f"{existing} is no folder: choose another --out")
+        raise NotADirectoryError(f"{existing} is no folder: choose another")
     return existing
 
 

@@ -26,7 +26,7 @@ def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) ->
     old = [path for path in folder.rglob("*") if not path.is_dir()]
     ours = anew and all(path.match("seed-*/events.out.tfevents.*") for path in old)
     if old and not ours:
-        raise FileExistsError(f"{folder} has files already, {old[0]}: choose a new folder, --out")
+        raise FileExistsError(f"{folder} has files already, {old[0]}: choose a new folder")
     records.read(run)  # It says what is wrong, before anything is removed.
     for path in old:
         path.unlink()

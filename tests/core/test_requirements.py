@@ -76,7 +76,7 @@ def test_a_frozen_reward_of_other_actions_is_refused(tiny, frozen_reward, kind):
 
 def test_a_frozen_reward_must_be_given_for_every_seed_and_only_then(tiny, maze, frozen_reward):
     frozen = tiny.change(reward="frozen")
-    with pytest.raises(ValueError, match=r"reward of 3 members for 2 seeds: .* --seeds 0 1 2$"):
+    with pytest.raises(ValueError, match=r"reward of 3 members for 2 seeds: .* seeds=\(0, 1, 2\)$"):
         Trainer(frozen, (0, 1), None, frozen_reward(3))
     with pytest.raises(ValueError, match="go together"):
         Trainer(frozen, (0, 1))

@@ -29,7 +29,7 @@ from offairl_lite.core.rollouts import rollout
 from offairl_lite.core.sac import SAC
 from offairl_lite.demonstrations import EXPERTS, Recording, write
 from offairl_lite.experiments import EXPERIMENTS
-from offairl_lite.runs import cli, folders, inputs, jobs, launch
+from offairl_lite.runs import cli, folders, inputs, jobs, launch, messages
 from offairl_lite.runs.grid import docstrings
 from offairl_lite.runs.records import RunSpec, read, read_json, run_folders, write_json
 
@@ -69,7 +69,7 @@ def test_list_shows_experiments_and_experts(capsys, shipped_experts):
     out = capsys.readouterr().out
     for name, experiment in EXPERIMENTS.items():
         assert f"  {name} " in out
-        assert experiment.about in out
+        assert messages.in_options(experiment.about) in out
     assert "demo: offairl/PointMazeLeft-v0, 6,000 steps, 5 seeds\n" in out
     assert "full: Hopper-v5, 1,000,000 steps, 10 seeds\n" in out
     several = "PointMazeRight-v0, offairl/PointMazeLeft-v0, 8,000 steps, 5 seeds"
@@ -161,7 +161,8 @@ def test_a_run_says_if_demonstrations_terminate_and_nothing_follows(
     own("Arm-v0")
     write([Recording(np.zeros((4, 2)), np.zeros((3, 2)), True)] * 2, "Arm-v0", "own/ends-v0")
     line = f"run imitate --env-id Arm-v0 --dataset own/ends-v0 --trajectories 2 --prepare {LEARNED}"
-    said = 'note: 2 of 2 demonstrations terminate; absorbing is none: see "Two questions"'
+    said = "note: 2 of 2 demonstrations terminate; to learn that something comes after the end, set"
+    said += " --absorbing bootstrap"
     offairl(f"{line} --out none")
     assert said in capsys.readouterr().err
     offairl(f"{line} --out loop --absorbing bootstrap")
@@ -240,6 +241,14 @@ def test_clones_are_policies_like_any_other(capsys, shipped_experts, elsewhere):
     assert [part.split(":")[0] for part in said[1:]] == ["seed 4", "seed 5"]
     offairl("watch clones/left.safetensors --member 1 --max-steps 2")
     assert "film.mp4: 3 frames" in capsys.readouterr().out
+    offairl("export clones/left.safetensors --out robot --member 0")
+    assert Path("robot/policy-0.pt2").is_file()
+    line = "run imitate --env-id offairl/PointMazeLeft-v0 --trajectories 2 --hidden 8 8 --seeds 0 1"
+    offairl(
+        f"{line} --pretrained policy --pretrained-policy clones/left.safetensors --prepare --out go"
+    )
+    kept = Policy.load("go/pretrained_policy.safetensors")
+    assert torch.equal(kept.params, Policy.load("clones/left.safetensors").params)
 
 
 @pytest.mark.parametrize(

@@ -368,7 +368,7 @@ def test_what_a_killed_command_has_left_is_removed_by_the_next(folder, plain):
 @pytest.mark.parametrize("name", ["file", "file/below", "file/below/deeper"])
 def test_a_file_is_no_place_for_a_run(name, tmp_path, plain):
     (tmp_path / "file").touch()
-    with pytest.raises(NotADirectoryError, match=r"file is no folder: choose another --out"):
+    with pytest.raises(NotADirectoryError, match=r"file is no folder: choose another"):
         create(tmp_path / name, plain, SEEDS)
 
 

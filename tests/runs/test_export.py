@@ -10,6 +10,7 @@ import pytest
 import torch
 from run_folders import create
 
+from offairl_lite.cloning import clone
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import action
@@ -166,6 +167,26 @@ def test_a_run_that_learned_no_reward_has_none_to_use_again(finished, tmp_path, 
         load_one(folder, Reward)
     assert len(load_one(folder, Policy)) == 2
     assert f"no reward to export: {why}" in " ".join(export(folder, tmp_path / "out"))
+
+
+def test_a_clone_is_exported_like_the_policy_of_a_run(own, random_demonstrations, tmp_path, capsys):
+    policy = clone(random_demonstrations(own("Arm-v0")), (4, 5), hidden=(8,), steps=10)
+    policy.save(file := tmp_path / "arm.safetensors")
+    cli.main(["export", str(file), "--out", str(tmp_path / "out"), "--member", "1"])
+    assert "arm.safetensors has no reward to export: it is the file of a policy" in (
+        capsys.readouterr().err
+    )
+    program = torch.export.load(tmp_path / "out/policy-1.pt2").module()
+    obs, _, space = samples()
+    wanted = action(policy.member(1), obs, space)
+    np.testing.assert_allclose(program(torch.tensor(obs)), wanted, atol=1e-5)
+    text = (tmp_path / "out/README.txt").read_text()
+    assert f"From {file}, trained on Arm-v0.\n\nMember 1\n" in text
+    assert not [*(tmp_path / "out").glob("*-0.*"), *(tmp_path / "out").glob("reward*")]
+    for option, why in (("--step 5", "leave out step"), ("--env-id Swimmer-v5", "gives 8")):
+        line = ["export", str(file), "--out", str(tmp_path / "other"), *option.split()]
+        with pytest.raises(SystemExit, match=why):
+            cli.main(line)
 
 
 def test_members_that_have_diverged_are_left_out(finished, tmp_path):
