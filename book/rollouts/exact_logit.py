@@ -143,7 +143,7 @@ def run(name: str) -> dict[str, Any]:
         experience = trainer.experience()
         batch = experience.replay.sample(trainer.rng, 5_000)
         log_pi = experience.log_density(experience.scaled(batch))
-        spread = experience.rewards(batch).std(1)
+        spread = experience.paid(batch).reward.std(1)
     return {
         "steps": result.steps.tolist(),
         "returns": result.returns.tolist(),
