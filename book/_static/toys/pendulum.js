@@ -24,12 +24,18 @@
   }
 
   // ReLU after each layer but the last.
-  const forward = (net, x) => net.reduce((before, {inputs, outputs, values}, k) =>
-    Array.from({length: outputs}, (_, i) => {
-      let sum = values[inputs * outputs + i];
-      for (let j = 0; j < inputs; j++) sum += values[i * inputs + j] * before[j];
-      return k < net.length - 1 ? Math.max(0, sum) : sum;
-    }), x);
+  function forward(net, x) {
+    net.forEach(({inputs, outputs, values}, k) => {
+      const next = new Float64Array(outputs), linear = k === net.length - 1;
+      for (let i = 0; i < outputs; i++) {
+        let sum = values[inputs * outputs + i];
+        for (let j = 0; j < inputs; j++) sum += values[i * inputs + j] * x[j];
+        next[i] = linear ? sum : Math.max(0, sum);
+      }
+      x = next;
+    });
+    return x;
+  }
 
   const actor = decode(window.toys.networks.actor, 3);
   const critics = window.toys.networks.critics.map((layers) => decode(layers, 4));
