@@ -26,7 +26,7 @@ from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, pack
 from offairl_lite.core.rollouts import Episodes, episode_seeds, faulty, require_actions, rollout
 from offairl_lite.minari_storage import Recording, outside, write
-from offairl_lite.recordings import from_flat, played
+from offairl_lite.recordings import from_flat, played, recording_of
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
 PURPOSE = 1
@@ -224,26 +224,9 @@ def of(
             f"demonstrations are {source!r}; expected a list of episodes, each a Recording or "
             "(obs, action), flat arrays by their names, a Minari data set's name, or a policy"
         )
-    parts = [one if isinstance(one, Recording) else _parts(i, one) for i, one in enumerate(source)]
+    parts = [recording_of(i, one) for i, one in enumerate(source)]
     data = Demonstrations(env_id, *minari_storage.transitions_of(parts[:trajectories], env_id))
     return data if subsample == 1 else data.subsample(subsample)
-
-
-def _parts(i: int, parts: Any) -> Recording:
-    """Return an episode that is given as a tuple, as a dictionary, or as imitation has it."""
-    if hasattr(parts, "acts"):
-        return Recording(parts.obs, parts.acts, bool(parts.terminal), getattr(parts, "rews", None))
-    if isinstance(parts, np.ndarray):
-        raise ValueError(
-            f"recording {i} is an array of shape {parts.shape}; expected a list of episodes, each "
-            "(obs, action). Of flat arrays give their names, too: dict(obs=..., actions=..., "
-            "dones=...)"
-        )
-    try:
-        return Recording(**parts) if isinstance(parts, Mapping) else Recording(*parts)
-    except TypeError as error:
-        why = f"expected a Recording, or its parts {Recording._fields}"
-        raise ValueError(f"recording {i} is a {type(parts).__name__}; {why}: {error}") from error
 
 
 def _made_by_experts(env_id: str, trajectories: int, experts: int | str | None) -> str:

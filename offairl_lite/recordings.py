@@ -94,6 +94,23 @@ def _rows(array: Any) -> np.ndarray:
     return np.array([dict(zip(array, row, strict=True)) for row in zip(*columns, strict=True)])
 
 
+def recording_of(i: int, parts: Any) -> Recording:
+    """Return an episode that is one, a tuple, a dictionary, or as imitation has it."""
+    if hasattr(parts, "acts"):
+        return Recording(parts.obs, parts.acts, bool(parts.terminal), getattr(parts, "rews", None))
+    if isinstance(parts, np.ndarray):
+        raise ValueError(
+            f"recording {i} is an array of shape {parts.shape}; expected a list of episodes, each "
+            "(obs, action). Of flat arrays give their names, too: dict(obs=..., actions=..., "
+            "dones=...)"
+        )
+    try:
+        return Recording(**parts) if isinstance(parts, Mapping) else Recording(*parts)
+    except TypeError as error:
+        why = f"expected a Recording, or its parts {Recording._fields}"
+        raise ValueError(f"recording {i} is a {type(parts).__name__}; {why}: {error}") from error
+
+
 def played(
     act: Callable[[np.ndarray], np.ndarray], env_id: str, units: Box, seeds: Sequence[int]
 ) -> list[Recording]:

@@ -117,8 +117,8 @@ def spec(env_id: str) -> EnvSpec:
             file = getattr(sys.modules[module], "__file__", module)
             raise ValueError(f"{why}: {file} does not register {name!r}{near}") from error
         raise ValueError(
-            f"{why}{near or '.'} Known are {', '.join(TASKS)}, and Gymnasium's. Your own has the "
-            f"module that registers it in its name: my_module:{name or 'MyTask-v0'}"
+            f"{why}{near or '.'} Known are {', '.join(TASKS)}, and Gymnasium's. If it is your own, "
+            f"let env_id name its module, too: my_module:{name or 'MyTask-v0'}"
         ) from error
 
 
