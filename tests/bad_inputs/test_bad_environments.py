@@ -61,7 +61,7 @@ def test_environments_are_not_made_of(refused, env_id, name, value, words):
         ([MAZE], "env_id is ['offairl/PointMazeLeft-v0']; expected a text"),
         ("", "unknown environment ''. Known are offairl/PointMazeLeft-v0"),
         ("3", "unknown environment '3'. Known are"),
-        ("Nowhere-v0", "unknown environment 'Nowhere-v0'...--env-id my_module:Nowhere-v0"),
+        ("Nowhere-v0", "unknown environment 'Nowhere-v0'...my_module:Nowhere-v0"),
         ("offairl/PointMazeLeft-v9", "unknown environment 'offairl/PointMazeLeft-v9'"),
     ],
 )

@@ -290,7 +290,7 @@ def evil(tmp_path, monkeypatch):
     ],
 )
 def test_a_file_s_module_is_not_imported(refused, evil, use):
-    refused(lambda: use(evil), "unknown environment 'Evil-v0'...--env-id my_module:Evil-v0")
+    refused(lambda: use(evil), "unknown environment 'Evil-v0'...my_module:Evil-v0")
     assert "evil" not in sys.modules
 
 

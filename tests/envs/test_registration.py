@@ -122,7 +122,7 @@ def test_make_leaves_actions_between_minus_one_and_one_alone():
 def test_unknown_id_lists_the_known_ones(unknown):
     for look in (envs.spec, lambda unknown: envs.make(unknown, 1, 0)):
         with pytest.raises(
-            ValueError, match=r"(?s)unknown.*offairl/PointMazeLeft-v0.*gymnasium.register"
+            ValueError, match=r"(?s)unknown.*offairl/PointMazeLeft-v0.*env_id name its module"
         ):
             look(unknown)
 
@@ -170,7 +170,11 @@ def test_a_module_that_registers_a_task_is_imported(tmp_path, monkeypatch):
             r"must have low < high: leave out what cannot be chosen",
         ),
         (
-            {"observations": gymnasium.spaces.Dict(x=gymnasium.spaces.Discrete(2))},
+            {
+                "observations": gymnasium.spaces.Dict(
+                    x=gymnasium.spaces.Sequence(gymnasium.spaces.Discrete(2))
+                )
+            },
             "the observation space Dict.*not supported",
         ),
     ],

@@ -53,7 +53,7 @@ def test_numbers_are_of_the_type_of_their_field():
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
-        ("heat=1", r"no setting 'heat' to vary; there are: reward, .*env_id, .*bottleneck"),
+        ("heat=1", r"no setting 'heat' to vary; there are: reward, .*env-id, .*bottleneck"),
         ("temperature=hot", "temperature is 'hot'; expected a number above 0, or None"),
         ("batch_size=1.5", "batch_size is 1.5; expected a whole number of at least 1"),
         ("normalise=1", "normalise is 1; expected True or False"),
@@ -69,8 +69,8 @@ def test_numbers_are_of_the_type_of_their_field():
         ("discount=2", r"discount is 2; expected a number in \[0, 1\]"),
         ("temperature=1,1.0", "temperature=1.0 is in the grid twice"),
         ("temperature=", "temperature is ''; expected a number"),
-        ("temperature", "--grid temperature: expected SETTING=VALUE,VALUE, and each setting once"),
-        ("discount=0.1 discount=0.2", "--grid discount=0.2: expected SETTING=VALUE,VALUE, and"),
+        ("temperature", "grid=temperature: expected SETTING=VALUE,VALUE, and each setting once"),
+        ("discount=0.1 discount=0.2", "grid=discount=0.2: expected SETTING=VALUE,VALUE, and"),
     ],
 )
 def test_what_makes_no_grid_is_named(axes, message):

@@ -280,7 +280,8 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
     assert given["reward=dac"]["spec"].demonstrations["subsample"] == 20
     assert given["reward=environment"]["spec"].demonstrations is None
     with pytest.raises(
-        ValueError, match=r"first `offairl run maze-imitation --scale demo`, then add --frozen-"
+        ValueError,
+        match=r"first `offairl run maze-imitation --scale demo`, then add frozen_reward=",
     ):
         offairl(f"maze-transfer --grid temperature=0.1 {SMALL} --out there", "maze-transfer")
     assert not Path("there").exists()
