@@ -640,7 +640,7 @@ def test_no_file_s_module_is_imported_unless_the_user_names_it(command, arm_fold
     )
     assert message.endswith(f"`offairl {verb} one --env-id arm:Arm-v0`")
     wrong = failure(f"{command} --env-id arm:Heavy-v0", capsys)
-    assert "env_id is 'arm:Heavy-v0'; expected one of ('arm:Arm-v0',)" in wrong
+    assert "--env-id is 'arm:Heavy-v0'; expected one of ('arm:Arm-v0',)" in wrong
     assert "arm" not in sys.modules
     assert {path: path.read_bytes() for path in before} == before
     offairl(f"{command} --env-id arm:Arm-v0")

@@ -114,7 +114,7 @@ def test_runs_are_told_where_their_reward_is_from(offairl):
 
 
 def test_what_a_run_sets_itself_is_not_taken_from_the_command_line(offairl):
-    message = r"\w+ sets env_id itself: vary that with --grid, .*or choose other runs with --only"
+    message = r"\w+ sets env_id itself: vary that with grid=, .*or choose other runs with only="
     with pytest.raises(ValueError, match=message):
         offairl("locomotion --env-id Pendulum-v1", "locomotion")
     with pytest.raises(ValueError, match="sac-fixed sets temperature itself"):
@@ -290,10 +290,10 @@ def test_demonstrations_and_rewards_are_given_where_they_are_needed(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("--reward environment --dataset my/own-v0", "--dataset my/own-v0 .* no reward is learned"),
-        ("--reward environment --subsample 7", "--subsample 7 would not be used, since no reward"),
-        ("--reward environment --experts 1", "--experts 1 would not be used, since no reward"),
-        ("--dataset my/own-v0 --experts 1", "--experts 1 would .* since my/own-v0 is by none"),
+        ("--reward environment --dataset my/own-v0", "dataset=my/own-v0 .* no reward is learned"),
+        ("--reward environment --subsample 7", "subsample=7 would not be used, since no reward"),
+        ("--reward environment --experts 1", "experts=1 would not be used, since no reward"),
+        ("--dataset my/own-v0 --experts 1", "experts=1 would .* since my/own-v0 is by none"),
     ],
 )
 def test_demonstrations_that_would_not_be_used_are_refused(options, message, offairl):
