@@ -206,7 +206,7 @@ def test_recordings_become_a_data_set(own, minari_folder):
 @pytest.mark.parametrize(
     ("spaces", "message"),
     [
-        ({"observations": gymnasium.spaces.Dict(x=BOX(0, 1, (2,)))}, "the observation space Dict"),
+        ({"observations": gymnasium.spaces.Discrete(2)}, "the observation space Discrete"),
         ({"actions": gymnasium.spaces.Discrete(2)}, "the action space Discrete"),
         ({"actions": BOX(-np.inf, np.inf, (2,))}, "has no bounds, .*: give it some that no"),
         ({"actions": BOX(-2, 4, (2,), np.int64)}, "int64. must be a Box of floats: round in the"),

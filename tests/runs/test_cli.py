@@ -655,7 +655,7 @@ def test_nor_is_it_for_python(arm_folder):
         lambda: rollout(run.policy, run.config.env_id, run.seeds, 1),
         lambda: envs.make(run.config.env_id, 1, 0),
     ):
-        with pytest.raises(ValueError, match="env[-_]id"):
+        with pytest.raises(ValueError, match=r"env[-_]id"):
             use()
     assert "arm" not in sys.modules
     # Its curve, its settings and its policy can be had without.

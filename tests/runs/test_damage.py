@@ -386,7 +386,7 @@ def test_too_little_memory_is_told(error, monkeypatch, tmp_path):
         raise error
 
     monkeypatch.setattr(launch, "_create", run)
-    with pytest.raises(SystemExit, match=r"offairl: there is not enough memory: lower batch_size"):
+    with pytest.raises(SystemExit, match=r"there is not enough memory: lower --batch-size"):
         cli.main(["run", "maze-expert", "--out", str(tmp_path / "one")])
 
 
