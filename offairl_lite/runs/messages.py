@@ -86,7 +86,7 @@ def one_line() -> Iterator[None]:
         known = ValueError, OSError, ImportError, FloatingPointError, gymnasium.error.Error
         why = str(error)
         if _lacks_memory(error):
-            cure = "lower batch_size or replay_size; give smaller networks, fewer seeds or processes"
+            cure = "lower batch_size or replay_size; smaller networks, fewer seeds or processes"
             why = f"there is not enough memory: {cure}"
         elif not isinstance(error, known):
             raise
