@@ -5,7 +5,7 @@ expert, with five seeds and 50,000 steps, but for the discriminator's logit.
 `log-ratio` is the recipe, `exact` is AIRL's f - log π, and each other run
 is `exact` with one change. A run takes five to fifteen minutes of a core.
 What is done is kept in a temporary folder, so that an interrupted recording
-goes on where it was. With EXACT_LOGIT="clip -10,last 1,000" only these are
+goes on where it was. With EXACT_LOGIT="clip -10;last 1,000" only these are
 trained now, and the others are taken from there.
 """
 
@@ -162,7 +162,7 @@ def record() -> dict[str, Any]:
     kept = {}
     for name in cases():
         path = folder / f"{name}.json"
-        if not path.is_file() and (now is None or name in now.split(",")):
+        if not path.is_file() and (now is None or name in now.split(";")):
             write_json(path, run(name))
             print(f"{name}: done", flush=True)
         if path.is_file():
