@@ -234,3 +234,23 @@ def the_worst_world(transferred):
     assert heavy["exact logit, α = 1.2"] == 49
     assert heavy["released, α = 0.2"] == 49
     assert heavy["released, α = 1"] == 90
+
+
+@recorded
+def neither_cause_decides_alone(robot):
+    """With log π cut off at −10, and with negatives of the last 1,000 steps
+    alone, no seed ends above 0; with the released loss each is above
+    1,000."""
+    for name in ("clip -10", "last 1,000"):
+        assert robot[name]["returns"][:, -1].max() < 0
+        assert robot[name]["returns"].max() > 1_000
+    assert robot["exact"]["returns"].max() > 1_000
+    assert robot["log-ratio"]["returns"][:, -1].min() > 1_000
+
+
+@recorded
+def without_old_data_there_is_no_tail(robot):
+    """With log π as it is and old data the rarest hundredth lies in the
+    thousands below 0, without old data above −50."""
+    assert np.median(robot["exact"]["tail"]) < -1_000
+    assert robot["last 1,000"]["tail"].min() > -50

@@ -6,9 +6,10 @@ expert, with five seeds and 50,000 steps, but for the discriminator's logit.
 is `exact` with one change. A run takes five to fifteen minutes of a core.
 What is done is kept in a temporary folder, so that an interrupted recording
 goes on where it was. With EXACT_LOGIT="clip -10;last 1,000" only these are
-trained now, and the others are taken from there.
+trained, and the others are left as they are recorded.
 """
 
+import json
 import math
 import os
 import tempfile
@@ -31,6 +32,7 @@ from offairl_lite.core.loop import Trainer, complete
 from offairl_lite.core.policies import defensive_log_density
 from offairl_lite.core.replay import Batch
 from offairl_lite.runs.records import read_json, write_json
+from rollouts import KEPT
 
 SEEDS = tuple(range(5))
 RECIPE = experiments.configure("benchmark/HalfCheetah-airl", "demo")
@@ -158,13 +160,15 @@ def record() -> dict[str, Any]:
     torch.set_num_threads(1)
     folder = Path(tempfile.gettempdir()) / "offairl-exact-logit"
     folder.mkdir(exist_ok=True)
-    now = os.environ.get("EXACT_LOGIT")
-    kept = {}
+    wanted = os.environ.get("EXACT_LOGIT")
+    there = KEPT / "exact_logit.json"
+    recorded = json.loads(there.read_text("utf-8")) if wanted else {}
     for name in cases():
         path = folder / f"{name}.json"
-        if not path.is_file() and (now is None or name in now.split(";")):
+        if wanted and name not in wanted.split(";"):
+            continue
+        if not path.is_file():
             write_json(path, run(name))
             print(f"{name}: done", flush=True)
-        if path.is_file():
-            kept[name] = read_json(path)
-    return kept
+        recorded[name] = read_json(path)
+    return {name: recorded[name] for name in cases() if name in recorded}
