@@ -91,7 +91,7 @@ def fates(gammas, shifts, nothing, never, fall):
         image.set_rasterized(True)
         ax.plot(gammas, never, "k--", gammas, fall, "k--")
         ax.text(0.74, 0.9, "never ends", ha="center", color="white")
-        ax.text(0.74, -0.4, "arrives", ha="center")
+        ax.text(0.74, -0.4, "arrives", ha="center", color="#111111")
         ax.text(0.74, -2, "falls", ha="center", color="white")
         ax.set(xlabel=r"discount $\gamma$", ylabel="constant $c$ added")
         ax.set(ylim=(-2.5, 1.5))
