@@ -20,9 +20,9 @@ UNWANTED = re.compile(
 
 
 # On a dark page the browser asks a drawing for its dark form. Curves and
-# diagrams are drawn light on dark, with the hues that they have. A map would
-# lose its order, so it keeps its colours, dimmed, and only what surrounds it
-# turns light: titles, numbers and walls.
+# diagrams are drawn light on dark, with the hues that they have. A map
+# would lose its order, so it keeps its colours, dimmed, and only what is
+# around it turns light: titles, numbers and walls.
 DARK = "@media screen and (prefers-color-scheme: dark) {{ {} }}"
 TURNED = "filter: invert(0.91) hue-rotate(180deg)"
 NO_PAPER = "#patch_1 path { fill: none !important }"
