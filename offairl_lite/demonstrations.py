@@ -352,8 +352,7 @@ def first_episodes(
 ) -> Episodes:
     """Return `BLOCK` episodes of each expert, from episode `first` on; `members` as in `generate`.
 
-    Networks round differently on every kind of processor, and robots magnify that. MuJoCo does not:
-    from the shipped actions come the same episodes, of which digests are kept.
+    Networks round differently on every processor. MuJoCo does not, so shipped actions are played.
     """
     seeds = range(len(policy)) if members is None else members
     seeding: dict[str, Any] = {"purpose": PURPOSE, "first": first}

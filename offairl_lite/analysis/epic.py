@@ -33,10 +33,9 @@ RewardFunction = Callable[[Tensor, Tensor, Tensor], Float[Tensor, "N"]]
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return the canonically shaped reward C(R)(s, a, s') of transitions.
+    """Return C(R)(s, a, s') of transitions; a potential shifts it by one constant for all.
 
-    Shaping R by a potential adds the same constant to C(R) for every transition. The samples are
-    draws of (S, A, S'), each column independent of the other columns.
+    Samples are draws of (S, A, S'), each column independent of the others.
     """
     count, draws = len(transitions.obs), len(samples.obs)
     action = samples.action.repeat(count, 1)
@@ -51,11 +50,7 @@ def canonical(
 
 
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
-    """Return sqrt((1 - ρ) / 2), where ρ is the correlation of x and y, from 0 to 1.
-
-    It is 0 if the two are equal up to shift and positive scale, 1 if one is the other's negative,
-    and a ValueError if one is constant.
-    """
+    """Return sqrt((1 - ρ) / 2) for the correlation ρ; ValueError if one of them is constant."""
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
     if not norms > 0:

@@ -1,7 +1,4 @@
-"""The book's figures, in one style for light and dark pages and for colour-blind readers.
-
-The colours are those of Okabe and Ito (2008).
-"""
+"""The book's figures, in one style for all pages and readers: colours of Okabe and Ito (2008)."""
 
 import math
 from functools import partial
@@ -40,8 +37,7 @@ STYLE: Any = {
     "lines.linewidth": 1.8,
 }
 
-style = partial(plt.rc_context, STYLE)
-"""A context whose figures have the book's style."""
+style = partial(plt.rc_context, STYLE)  #: A context whose figures have the book's style.
 
 
 def curve(
@@ -123,10 +119,7 @@ def arrows(
     positions: Float[np.ndarray, "S 2"],
     color: str = "white",
 ) -> Quiver:
-    """Draw the mean move of a policy in each square of `tabular.mazes.maze`, from its `positions`.
-
-    Where the policy is undecided, its moves cancel and the arrow is short.
-    """
+    """Draw a policy's mean move in each square of the maze, short where it is undecided."""
     size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
     move = 0.9 * size * (policy @ MOVES)
     in_metres: Any = {"angles": "xy", "scale_units": "xy", "scale": 1, "pivot": "mid"}

@@ -57,10 +57,7 @@ def _percentiles(
 
 
 def bootstrap_interval(values: Float[np.ndarray, "N ..."]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of the interquartile mean over the first axis.
-
-    All resamples of up to eight values are taken, 10,000 random ones of more.
-    """
+    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
     (drawn,), probability = _resamples(len(values))
     return _percentiles(interquartile_mean(values[drawn.T]), probability)
 
@@ -72,8 +69,7 @@ def difference(
 ) -> tuple[float, float, float]:
     """Return by how much a statistic of some runs' returns is above that of others.
 
-    With it come the ends of its percentile bootstrap interval over the seeds of both; a single seed
-    tells nothing of others, and leaves the interval without ends.
+    With it come the ends of its percentile bootstrap interval; with a single seed it has none.
     """
     gain = float(statistic(one) - statistic(other))
     if min(len(one), len(other)) < 2:
@@ -103,10 +99,7 @@ def probability_of_improvement(
 
 
 def success_rate(succeeded: Bool[np.ndarray, "N"]) -> tuple[float, float, float]:
-    """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927).
-
-    Unlike a bootstrap's, it has a width also where all seeds succeed or none does.
-    """
+    """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927)."""
     if not len(succeeded):
         raise ValueError("no seeds were given, and a success rate needs at least one")
     test = scipy.stats.binomtest(int(np.sum(succeeded)), len(succeeded))

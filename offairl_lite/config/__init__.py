@@ -176,10 +176,7 @@ class Config:
 
 
 def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
-    """Return the flat settings in which two configurations differ, with both values.
-
-    None stands for a setting that one of them has no use for.
-    """
+    """Return the flat settings that differ, with both values; None is for one without use."""
     here, others = one.flat(), other.flat()
     pairs = {name: (here.get(name), others.get(name)) for name in here | others}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}

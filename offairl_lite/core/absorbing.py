@@ -47,8 +47,7 @@ def absorbing_state(like: Extended) -> Extended:
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 
-    Nothing is terminated afterwards, so the critics' target bootstraps from the value of the
-    absorbing state: this is the whole of `bootstrap`.
+    Nothing is terminated then, so critics bootstrap from its value: the whole of `bootstrap`.
     """
     next_obs, ended = extend(batch.next_obs), batch.terminated.unsqueeze(-1) == 1
     return batch._replace(

@@ -48,10 +48,9 @@ class Execution:
             )
 
     def accelerate(self, step: Callable, hidden: tuple[int, ...]) -> Callable:
-        """Return a function that does what `step` does, which changes tensors in place.
+        """Return a function that does what `step` does, an update of networks with `hidden` layers.
 
-        `hidden` are the layers of the networks that it updates. It takes tensors, always of the
-        same shapes, tuples of them, None and flags, and returns a dictionary of tensors.
+        It takes tensors, always of the same shapes, tuples, None and flags; it returns tensors.
         """
         if self.compile:
             # Gradients are taken inside the function that is compiled.
@@ -82,15 +81,11 @@ def choose_execution(
     return Execution(device, threads, compile == "yes", onednn)
 
 
-PIECE = 500
-"""Rows that go through a large network at once where `piecewise` has a say."""
+PIECE = 500  #: Rows that go through a large network at once where `piecewise` has a say.
 
 
 def piecewise(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Return `function`, of weights and tensors `S B`, for one member at a time and few rows.
-
-    What a large network makes of few rows stays in a core's cache. It is not differentiated.
-    """
+    """Return `function` for one member at a time and few rows, which stay in a core's cache."""
 
     @wraps(function)
     def pieces(params: Tensor, *tensors: Tensor) -> Tensor:
@@ -156,8 +151,7 @@ def onednn_is_faster() -> bool:
 class CudaGraphed:
     """A step that is captured as a CUDA graph the second time it is called with the same flags.
 
-    The first call runs as written, so that libraries are ready; it is an update like any other.
-    Capturing computes nothing, so no update is made twice.
+    The first call, an update as any, makes libraries ready. Capturing computes nothing.
     """
 
     def __init__(self, step: Callable) -> None:

@@ -11,8 +11,7 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.shapes import Action, Obs, Scalar, TwinQ, Vector
 
-REGULARISER = 0.5
-"""1/(4α) before E r², for α = 0.5 (released code)."""
+REGULARISER = 0.5  #: 1/(4α) before E r², for α = 0.5 (released code).
 
 
 def iq_loss(q: TwinQ, value: TwinQ, next_value: Vector) -> Scalar:

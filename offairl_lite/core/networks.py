@@ -33,8 +33,7 @@ from offairl_lite.core.shapes import (
     Vector,
 )
 
-TINY = 1e-12
-"""What keeps roots and quotients of lengths finite at 0."""
+TINY = 1e-12  #: What keeps roots and quotients of lengths finite at 0.
 
 
 class Normaliser(NamedTuple):
@@ -55,8 +54,7 @@ class Normaliser(NamedTuple):
     def of(cls, *sources: Float[Tensor, "S _ O"]) -> "Normaliser":
         """Return the map that gives an even mixture of the sources mean 0 and standard deviation 1.
 
-        A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
-        would turn rounding into signal.
+        A coordinate that hardly varies, beside its mean or at all, is only centred.
         """
         mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
         squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
@@ -73,10 +71,7 @@ class Normaliser(NamedTuple):
 
 @dataclass(frozen=True)
 class StackedMLP:
-    """A multilayer perceptron, for `S` sets of weights at once: a layer is one `baddbmm`.
-
-    `sizes` are the features of the input, of each hidden layer, and of the output, which is linear.
-    """
+    """A multilayer perceptron for `S` sets of weights at once; the last of `sizes` is linear."""
 
     sizes: Sizes
     activation: Literal["relu", "tanh"] = "relu"
@@ -122,8 +117,7 @@ class StackedMLP:
     ) -> tuple[Vector, Float[Tensor, "S B in"]]:
         """Return the scalar output and its gradient by the input.
 
-        The gradient is written out as the chain rule, that is, as a forward pass of its own.
-        Training on it then needs one ordinary backward pass, not a double one.
+        That is the chain rule as a forward pass: to train on it takes one backward pass, not two.
         """
         *hidden, (bias, weight) = self.layers(params)
         outputs = []
@@ -170,15 +164,13 @@ class TwinCritic:
         return q.view(2, *x.shape[:2])
 
 
-BETAS, EPSILON = (0.9, 0.999), 1e-8
-"""Adam's own, never changed."""
+BETAS, EPSILON = (0.9, 0.999), 1e-8  #: Adam's own, never changed.
 
 
 class Adam:
     """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
 
-    Its state is in tensors that are changed in place, so that a step is a fixed sequence of
-    operations: it can be compiled, or captured as a CUDA graph, together with the loss.
+    Its state changes in place, so that a step can be compiled, or captured as a CUDA graph.
     """
 
     def __init__(self, params: Tensor, learning_rate: float) -> None:
@@ -234,10 +226,7 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_weights` wrote; FileNotFoundError if there is no such file.
-
-    It is a ValueError if it is damaged, or another file, or one of another `about["kind"]`.
-    """
+    """Read what `save_weights` wrote; FileNotFoundError, or ValueError if it is of another kind."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     try:

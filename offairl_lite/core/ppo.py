@@ -32,8 +32,7 @@ FIRST_SCALE = 0.01
 def episode_ends(obs: Obs, next_obs: Obs) -> Bool[Tensor, "S B"]:
     """Tell which steps are the last ones known of an episode: the next begins somewhere else.
 
-    A reset to the very observation where an episode was cut off goes unnoticed, and may: what
-    follows is then a sample of what could have followed.
+    A reset to where an episode was cut off may go unnoticed: what follows is a sample.
     """
     ends = (next_obs[:, :-1] != obs[:, 1:]).any(-1)
     return torch.nn.functional.pad(ends, (0, 1), value=True)
@@ -86,10 +85,7 @@ class Rollout(NamedTuple):
 
 
 class PPO:
-    """Actor and value network of `S` members; observations come scaled.
-
-    The weights are zeros until `init`.
-    """
+    """Actor and value network of `S` members; observations come scaled."""
 
     def __init__(self, config: PPOConfig, layout: Layout) -> None:
         self.config = config

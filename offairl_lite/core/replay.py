@@ -19,8 +19,7 @@ from offairl_lite.core.shapes import Layout
 class Batch(NamedTuple):
     """Transitions; the leading axes are usually `S B`.
 
-    `terminated` is 1 where the task ended for good. A time limit is no termination: the next
-    observation still has a value, and a learner must go on counting on it.
+    `terminated` is 1 where the task ended for good, not at a time limit: there V(s') counts.
     """
 
     obs: Float[Tensor, "*batch O"]
@@ -39,10 +38,8 @@ class Batch(NamedTuple):
         return torch.tanh(self.pre_tanh)
 
 
-LogDensity = Callable[[Batch], Float[Tensor, "S B"]]
-"""log π of each transition of a scaled batch."""
-CHUNK = 50
-"""Minibatches that are drawn at a time."""
+LogDensity = Callable[[Batch], Float[Tensor, "S B"]]  #: log π of each transition of a scaled batch.
+CHUNK = 50  #: Minibatches that are drawn at a time.
 
 
 def chunks(minibatches: int) -> Iterator[int]:

@@ -14,13 +14,11 @@ from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
 
-LONGEST = 20_000
-"""Steps by which an episode must end where the task has no time limit."""
+LONGEST = 20_000  #: Steps by which an episode must end where the task has no time limit.
 LARGEST = 1e8
 """A task's number beyond ±this is taken for a fault: one in the warm-up would scale all others to
 nothing. MuJoCo's robots read hundreds, a 24-bit encoder 1.7e7, hydraulics in Pa 5e7."""
-FAULTY = f"not within ±{LARGEST:g}"
-"""How messages say so."""
+FAULTY = f"not within ±{LARGEST:g}"  #: How messages say so.
 
 
 def faulty(reading: np.ndarray) -> np.ndarray:

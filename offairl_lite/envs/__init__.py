@@ -69,10 +69,7 @@ class SingleEnv(gymnasium.Env):
 
 
 class OneHotActions(gymnasium.ActionWrapper, RecordConstructorArgs):
-    """A task with n discrete actions, as one with n numbers in [-1, 1]: the largest is chosen.
-
-    `encode` turns recorded actions into such numbers.
-    """
+    """A task with n discrete actions as one with n numbers in [-1, 1]: the largest is chosen."""
 
     def __init__(self, env: gymnasium.Env):
         RecordConstructorArgs.__init__(self)
@@ -150,8 +147,7 @@ def register(env: AnyTask, env_id: str | None = None) -> str:
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
     """Return a task's spaces; ValueError unless both are boxes with one axis, or can be made so.
 
-    Observations that are dictionaries are flattened. The action space must consist of floats with
-    finite bounds, low < high. The message says how to wrap a task that has others.
+    Dictionaries of observations are flattened; actions must be floats with finite bounds.
     """
     if isinstance(observation_space, Dict):
         observation_space = flatten_space(observation_space)

@@ -20,8 +20,7 @@ try:
     from mujoco.batch import Batch
 except ImportError:  # MuJoCo 3 has no batches.
     Batch = None
-FRAME_SIZE = 240
-"""Width and height of a rendered frame, in pixels."""
+FRAME_SIZE = 240  #: Width and height of a rendered frame, in pixels.
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv):
@@ -162,12 +161,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         """Return the frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8."""
         if self.render_mode is None:
             raise RuntimeError("make the environment with render_mode='rgb_array' to render it")
-        return tuple(map(self._frame, range(self.num_envs)))
-
-    def _frame(self, member: int) -> np.ndarray:
-        data = self._batch.get_data(member, self._scratch)
-        mujoco.mj_kinematics(self._model, data)
-        return render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera)
+        frames = []
+        for member in range(self.num_envs):
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_kinematics(self._model, data)
+            frames.append(render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera))
+        return tuple(frames)
 
     def _start(self, members: np.ndarray) -> None:
         """Start new episodes of some members, with draws from their own generators."""
@@ -182,11 +181,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._idle[members] = False
 
     def _measure(self, moved: np.ndarray, stepped: bool) -> None:
-        """Update physics and observations after some members have been stepped or reset.
-
-        Torso and contact are by-products of a step and not part of MuJoCo's state: for the other
-        members they stay as they were.
-        """
+        """Update physics and observations after members have been stepped or reset."""
         torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
         torso[moved] = self._xpos[moved, 1, :2]
         contact[moved] = 0.0
@@ -205,15 +200,11 @@ def checked_actions(actions: np.ndarray, env: gymnasium.vector.VectorEnv) -> np.
     """Return the actions of all members; ValueError unless they fit the space and are finite."""
     actions, shape = np.asarray(actions), env.action_space.shape
     if actions.shape != shape or actions.dtype.kind not in "fiu":
-        raise ValueError(
-            f"actions must be numbers of shape {shape}, "
-            f"not {actions.dtype} of shape {actions.shape}"
-        )
+        actual = f"{actions.dtype} of shape {actions.shape}"
+        raise ValueError(f"actions must be numbers of shape {shape}, not {actual}")
     for member, joint in np.argwhere(~np.isfinite(actions)):
-        raise ValueError(
-            f"member {member}: action[{joint}] is {actions[member, joint]}; "
-            f"actions must be finite, within {env.single_action_space}"
-        )
+        wrong = f"action[{joint}] is {actions[member, joint]}"
+        raise ValueError(f"member {member}: {wrong}; actions must be finite, in {env.action_space}")
     return actions
 
 
@@ -261,10 +252,7 @@ def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) ->
 
 
 def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndarray:
-    """Return the states of PCG64 generators, (n, 6) uint64.
-
-    A row holds two numbers of 128 bits, each as its high and its low word, and a spare draw.
-    """
+    """Return states of PCG64 generators, (n, 6) uint64: high and low words, and a spare draw."""
     rows = []
     for rng in generators:
         if not isinstance(getattr(rng, "bit_generator", None), np.random.PCG64):

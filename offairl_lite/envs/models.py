@@ -14,19 +14,14 @@ from mujoco import mjtGeom, mjtIntegrator, mjtJoint, mjtLimited, mjtTrn
 
 Side = Literal["Left", "Right"]
 
-LENGTH = 0.6
-"""Upper end of the maze in x and y; the lower end is at -0.1."""
-START = np.array([LENGTH / 2, 0.0])
-"""Where the particle starts, (2,)."""
-GOAL = np.array([LENGTH / 2, LENGTH - 0.1])
-"""Centre of the target, (2,)."""
-MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])
-"""Lower and upper corner of the marsh, (2, 2)."""
+LENGTH = 0.6  #: Upper end of the maze in x and y; the lower end is at -0.1.
+START = np.array([LENGTH / 2, 0.0])  #: Where the particle starts, (2,).
+GOAL = np.array([LENGTH / 2, LENGTH - 0.1])  #: Centre of the target, (2,).
+MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])  #: Lower and upper corner of the marsh, (2, 2).
 WEST = np.array([0.05, 0.0])
 """Another start, from which the straight way to the goal crosses the marsh as well, (2,)."""
 PARTICLE_RADIUS = 0.03
-WALL_RADIUS = 0.02
-"""Half the thickness of a wall."""
+WALL_RADIUS = 0.02  #: Half the thickness of a wall.
 
 _PARTICLE = (0.13, 0.35, 0.85, 1.0)
 _TARGET = (0.10, 0.75, 0.25, 1.0)
@@ -51,10 +46,9 @@ _BACK_LEGS = (3, 4)
 
 
 def walls(side: Side | None) -> np.ndarray:
-    """Return the centre lines of the maze's walls: four borders, then the barrier.
+    """Return the maze's walls as segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y).
 
-    They are segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y). The barrier is attached on a
-    side, so that `"Left"` leaves the gap on the right; with None there is none.
+    Four borders, then the barrier, attached on a side: `"Left"` leaves the gap on the right.
     """
     if side not in ("Left", "Right", None):
         raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
@@ -109,8 +103,7 @@ def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     """Return the ant with motors of gear 30; if disabled, its back legs are short and weak.
 
-    Weak legs have half a thigh and half a shin, and motors of gear 1. An action drives the legs 1
-    to 4 in the order of `actuator_legs`, hip before ankle.
+    An action drives the legs in the order of `actuator_legs`, hip before ankle.
     """
     if sorted(actuator_legs) != sorted(_LEGS):
         raise ValueError(f"actuator_legs must order the legs 1, 2, 3, 4, not {actuator_legs}")

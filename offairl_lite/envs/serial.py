@@ -34,10 +34,7 @@ class TaskError(RuntimeError):
 
 @contextmanager
 def own_code(task: object, what: str) -> Iterator[None]:
-    """Turn an exception of a task's own code into a TaskError.
-
-    Gymnasium's errors and failed imports pass unchanged: their messages say what to do.
-    """
+    """Turn an exception of a task's own code into a TaskError, but none that says what to do."""
     try:
         yield
     except (gymnasium.error.Error, ImportError):
@@ -121,11 +118,7 @@ class SerialEnv(SyncVectorEnv):
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return everything that later steps depend on, as arrays for `set_state`.
-
-        The episode of a member has the last `clock` rows of `actions`. It is a ValueError if a
-        member's `np_random` is not a PCG64 generator.
-        """
+        """Return arrays for `set_state`; a member's episode has the last `clock` actions."""
         actions = np.array(self._actions, self._units.dtype)
         return {
             "starts": generator_words(self._starts, self),
@@ -139,8 +132,7 @@ class SerialEnv(SyncVectorEnv):
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue exactly from a state that `get_state` returned, here or in another environment.
 
-        It is a ValueError if the state is of another task or number of members; or if the episodes
-        come out differently when they are played again, and the environment must then be reset.
+        ValueError if it is of another task, or if its episodes come out differently here.
         """
         like, steps = self.get_state(), np.shape((state or {}).get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)

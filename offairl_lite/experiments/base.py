@@ -8,8 +8,7 @@ from typing import Any, Literal
 from offairl_lite.config import Config
 from offairl_lite.scale import Scale
 
-Changes = Mapping[str, Any]
-"""Settings of a configuration, by their flat names."""
+Changes = Mapping[str, Any]  #: Settings of a configuration, by their flat names.
 NOTHING: Changes = {}
 
 Seeds = Mapping[Scale, tuple[int, ...]]

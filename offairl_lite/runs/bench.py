@@ -138,10 +138,7 @@ def turn(act: Callable[[], object], seconds: float) -> float:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measure everything: what `offairl bench --json` prints.
-
-    Beside `origin` and `options` these are the `rates`: how many a second, of all members together.
-    """
+    """Measure all: what `offairl bench --json` prints; `rates` are of all members together."""
     execution = Execution(options.device, options.threads, options.compile)
     torch.set_num_threads(options.threads)
     networks = [options.hidden] if options.hidden else [(256, 256), (400, 300)]

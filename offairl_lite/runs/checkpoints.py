@@ -39,10 +39,8 @@ MARGIN = 2**23
 """Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
 Found = tuple[dict[str, Tensor], dict[str, Any]]
 """A checkpoint: the trainer's state, and what is said about it."""
-FORMAT = 4
-"""Of checkpoints; it changes when older ones can no longer be resumed."""
-BLOCK = 1024
-"""Places in the replay, with the rows of all members, that have one checksum."""
+FORMAT = 4  #: Of checkpoints; it changes when older ones can no longer be resumed.
+BLOCK = 1024  #: Places in the replay, with the rows of all members, that have one checksum.
 
 
 class Checksums:

@@ -79,10 +79,7 @@ def why_no_reward(config: Config) -> str | None:
 
 
 def load_one(path: Any, kind: Any, step: int | None = None) -> Any:
-    """Return the policies, or the rewards, of a file or of a run that has ended, or at a `step`.
-
-    What is such a thing already is returned as it is.
-    """
+    """Return the policies, or rewards, of a file or of a run, at its end or at a `step`."""
     if isinstance(path, kind):
         return path
     path = Path(path)

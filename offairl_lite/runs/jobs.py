@@ -27,12 +27,9 @@ from tqdm.auto import tqdm
 Engine = Literal["processes", "ray"]
 Attempt = Callable[[Path, threading.Event], str]
 """Runs a job, or ends it when the event is set. It returns nothing, or what went wrong."""
-POLL_S = 1.0
-"""Seconds between two looks at the jobs."""
-GRACE_S = 10.0
-"""Seconds that a process is given to end when it is asked to."""
-TAIL = 20
-"""Lines of the log that are shown of a job that failed."""
+POLL_S = 1.0  #: Seconds between two looks at the jobs.
+GRACE_S = 10.0  #: Seconds that a process is given to end when it is asked to.
+TAIL = 20  #: Lines of the log that are shown of a job that failed.
 
 
 def log_of(folder: Path) -> Path:

@@ -57,8 +57,8 @@ def check(
     scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))
     env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=scaled)
     frozen, policy, reward, guide = map(networks.get, inputs.CURES)
-    require_inputs(config, seeds, demos, frozen, policy, guide)
-    require_match(config, seeds, env, demos, frozen, policy, reward, guide)
+    require_inputs(config, seeds, demos, frozen, policy, reward, guide)
+    require_match(config, env, demos, frozen, policy, reward, guide)
     if demos is None:
         return []
     notes, ends = [], int(demos.transitions.terminated.sum())

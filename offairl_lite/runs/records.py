@@ -44,8 +44,7 @@ from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 
-FORMAT = 3
-"""Of run folders; it changes when older ones can no longer be read."""
+FORMAT = 3  #: Of run folders; it changes when older ones can no longer be read.
 METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
     *("temperature", "entropy", "excess", "multiplier"),
@@ -362,10 +361,7 @@ def origin(execution: Execution) -> dict[str, Any]:
 
 
 def changed(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Return what two origins have otherwise of all that may change a number: before and after.
-
-    What an older origin does not say is None.
-    """
+    """Return what two origins have otherwise of all that may change a number: before and after."""
     keys = ("versions", "processor", "vectors", "commit")
     return {key: (then.get(key), now[key]) for key in keys if then.get(key) != now[key]}
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from offairl_lite.runs import records
 
-POLL_S = 10.0
-"""Seconds between two looks at a run that is followed."""
+POLL_S = 10.0  #: Seconds between two looks at a run that is followed.
 
 
 def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) -> int:
