@@ -1,6 +1,5 @@
 """The book's figures, in one style for all pages and readers: colours of Okabe and Ito (2008)."""
 
-import math
 from functools import partial
 from typing import Any
 
@@ -11,12 +10,10 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
-from matplotlib.quiver import Quiver
 
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
 from offairl_lite.core.rewards import Reward
 from offairl_lite.envs.models import GOAL, LENGTH, START, WALL_RADIUS, Side, walls
-from offairl_lite.tabular import MOVES
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC3311", "#AA3399"
 GREY = "#7f7f7f"
@@ -96,32 +93,8 @@ def reward_map(
     obs = torch.as_tensor(np.stack([x, y, 0 * x], -1), dtype=torch.float32)
     value = reward.member(member).to("cpu")(obs.view(1, -1, 3)).view(x.shape).numpy()
     half = (inner[1] - inner[0]) / 2  # a pixel is centred on its point
-    return _image(ax, value - value.max(), side, inner[0] - half, inner[-1] + half)
-
-
-def grid(ax: Axes, values: Float[np.ndarray, "S"], side: Side) -> AxesImage:
-    """Draw a function of the state of `tabular.mazes.maze`, one value per square, over the maze."""
-    cells = math.isqrt(len(values))
-    return _image(ax, values.reshape(cells, cells), side, walls(side).min(), walls(side).max())
-
-
-def _image(ax: Axes, values: np.ndarray, side: Side, low: float, high: float) -> AxesImage:
-    """Draw a square of values, from `low` to `high` along x and y, under the maze."""
-    extent = (low, high, low, high)
-    image = ax.imshow(values, origin="lower", extent=extent, cmap="cividis", zorder=1)
+    edges = (inner[0] - half, inner[-1] + half)
+    look: Any = {"origin": "lower", "extent": 2 * edges, "cmap": "cividis", "zorder": 1}
+    image = ax.imshow(value - value.max(), **look)
     maze(ax, side)
     return image
-
-
-def arrows(
-    ax: Axes,
-    policy: Float[np.ndarray, "S A"],
-    positions: Float[np.ndarray, "S 2"],
-    color: str = "white",
-) -> Quiver:
-    """Draw a policy's mean move in each square of the maze, short where it is undecided."""
-    size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
-    move = 0.9 * size * (policy @ MOVES)
-    in_metres: Any = {"angles": "xy", "scale_units": "xy", "scale": 1, "pivot": "mid"}
-    look: Any = {"width": 0.004, "headwidth": 4, "color": color, "zorder": 1.5}
-    return ax.quiver(*positions.T, *move.T, **in_metres, **look)
