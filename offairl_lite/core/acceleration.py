@@ -1,9 +1,7 @@
 """How updates are executed: as they are written, compiled, or replayed as a CUDA graph.
 
-The update is the same function in each case; only the order of floating-point sums may differ. As
-written it is hundreds of small operations. Compiled they become a few dozen, at two to three times
-the speed, which pays for runs longer than the minute or two that compiling takes. Most of
-what is left is matrix products. On a GPU a captured graph calls all at once.
+The update is the same function in each case; only the order of floating-point sums may differ.
+Compiled, hundreds of small operations become a few dozen, at two to three times the speed.
 """
 
 import shutil
@@ -25,10 +23,11 @@ from offairl_lite.config.settings import checked
 class Execution:
     """Where and how a run is computed. Another choice gives the same run up to rounding.
 
-    Networks live on the `device`, `cpu` or `cuda`. `threads` are those of PyTorch, in the whole
-    process, and of the physics: a second core does more good with a second process. To `compile`
-    updates takes a C++ compiler and a minute or two. With `onednn` oneDNN makes the matrix products
-    of large networks, where that costs no precision.
+    Args:
+        device: where networks live, `cpu` or `cuda`.
+        threads: of PyTorch, in the whole process, and of the physics.
+        compile: whether updates are compiled, which takes a C++ compiler and a minute or two.
+        onednn: whether oneDNN makes the products of large networks, if that costs no precision.
     """
 
     device: str = "cpu"

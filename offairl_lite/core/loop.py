@@ -1,8 +1,7 @@
 """Algorithm 1 of the paper: the one training loop, for a population of seeds.
 
 Act for a block of steps, an episode for instance; update the discriminator once for each step; then
-update the learner equally often, on the current reward. With the task's own reward, or a frozen
-one, there is no discriminator. PPO uses the same loop, but learns from the latest block alone.
+update the learner equally often, on the current reward. PPO learns from the latest block alone.
 """
 
 import warnings

@@ -43,11 +43,9 @@ class Normaliser(NamedTuple):
     std: Float[Tensor, "S 1 O"]
 
     @classmethod
-    def identity(
-        cls, population: int, obs_dim: int, device: torch.device | str = "cpu"
-    ) -> "Normaliser":
+    def identity(cls, members: int, obs_dim: int, device: Any = "cpu") -> "Normaliser":
         """Return the map that changes nothing."""
-        zeros = torch.zeros(population, 1, obs_dim, device=device)
+        zeros = torch.zeros(members, 1, obs_dim, device=device)
         return cls(zeros, torch.ones_like(zeros))
 
     @classmethod
@@ -178,8 +176,7 @@ class Adam:
         self.mean, self.square = torch.zeros_like(params), torch.zeros_like(params)
         self.betas = torch.tensor(BETAS, device=params.device)
         self.decay = torch.ones_like(self.betas)
-        # The step's length and ε, corrected for the bias. They have a place of their own so that a
-        # compiled step computes them once, not once for every weight.
+        # The step's length and ε, corrected for the bias: compiled, they are computed once.
         self.scale = torch.zeros_like(self.betas)
 
     @property
@@ -207,7 +204,7 @@ def zeros(layout: Layout, num_params: int) -> Params:
 
 
 def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:
-    """Return the states of several optimizers, each name after its optimizer's."""
+    """Return the states of optimizers, each name after its optimizer's."""
     return {f"{kind}.{name}": x for kind, it in optimizers.items() for name, x in it.state.items()}
 
 

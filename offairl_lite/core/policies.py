@@ -27,7 +27,7 @@ MAX_ACTION = 1 - 1e-6  #: Where `unsquash` clamps: an action closer to ±1 count
 
 
 def unsquash(action: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return `pre_tanh` of given actions, clamped to ±`MAX_ACTION` (|pre_tanh| ≤ 7.25)."""
+    """Return `pre_tanh` of actions, clamped to ±`MAX_ACTION` (|pre_tanh| ≤ 7.25)."""
     return torch.atanh(action.clamp(-MAX_ACTION, MAX_ACTION))
 
 
@@ -144,17 +144,14 @@ class MultiplicativeGaussian(SquashedGaussian):
     """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
 
     `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
-    Gaussian again. The primitives grow out of one trunk, whose layers are `hidden`, and are one
-    stacked product; the gate is a network of its own.
+    Gaussian again. Primitives grow out of a trunk, whose layers are `hidden`; the gate does not.
     """
 
     primitives: Count = 4
     primitive_hidden: Sizes = (256,)
     gate_hidden: Sizes = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
-    """How the gate's outputs become weights w > 0. `softmax`: they add up to 1, and one primitive
-    alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself; `softplus`: each
-    without an upper bound."""
+    """How the gate's outputs become weights w > 0: adding up to 1, each below 1, or unbounded."""
 
     @property
     def trunk(self) -> StackedMLP:

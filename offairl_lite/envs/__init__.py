@@ -1,13 +1,7 @@
 """Environments: the paper's eight tasks, stepped in batches, and any other Gymnasium task.
 
-Importing this package registers its own tasks with Gymnasium, for `gymnasium.make` and
-`gymnasium.make_vec`:
-
-- `offairl/PointMazeLeft-v0`, `offairl/PointMazeRight-v0`: the shifting maze;
-- `offairl/CustomAnt-v0`, `offairl/DisabledAnt-v0`: the ant, and the ant with two weak legs;
-- `offairl/DisabledAntReleased-v0`: DisabledAnt with its actuators in the released code's order;
-- `offairl/PointMarsh-v0`, `offairl/PointMarshWest-v0`: a marsh, costly to cross, instead of the
-  barrier, with two different starts.
+Importing this package registers its own, the ids of `TASKS` that begin with `offairl/`, for
+`gymnasium.make` and `gymnasium.make_vec`.
 """
 
 import importlib
@@ -108,8 +102,7 @@ def spec(env_id: str) -> EnvSpec:
         raise ModuleNotFoundError(f"{env_id}: {error}; {cure}") from error
     except gymnasium.error.Error as error:
         near = " or ".join(get_close_matches(name, gymnasium.registry))
-        near = f"; did you mean {near}?" if near else ""
-        why = f"unknown environment {env_id!r}"
+        near, why = f"; did you mean {near}?" if near else "", f"unknown environment {env_id!r}"
         if module:
             file = getattr(sys.modules[module], "__file__", module)
             raise ValueError(f"{why}: {file} does not register {name!r}{near}") from error

@@ -1,9 +1,7 @@
 """MuJoCo models of the shifting maze, the marsh, and the ants with four and with two good legs.
 
-The marsh is this package's own. The maze and the ants are those of Fu, Luo and Levine, "Learning
-Robust Rewards with Adversarial Inverse Reinforcement Learning" (2018), as used by Arnob,
-"Off-Policy Adversarial Inverse Reinforcement Learning" (2020). Lengths are in metres, angles in
-degrees, time in seconds.
+The maze and the ants are those of Fu, Luo and Levine (2018), as used by Arnob (2020); the marsh is
+this package's own. Lengths are in metres, angles in degrees, time in seconds.
 """
 
 from typing import Literal
@@ -62,11 +60,9 @@ def walls(side: Side | None) -> np.ndarray:
 
 
 def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
-    """Return a particle, pushed in the plane, in a box with a target.
+    """Return a particle in a box with a target and a barrier or, with None for a side, the marsh.
 
-    A barrier, attached on a side, makes the shifting maze; with None for a side there is the marsh
-    instead, which stops nothing. `qpos` is the particle's displacement from `start`, (2,), `ctrl`
-    the force along x and y in newtons, each limited to [-1, 1].
+    `qpos` is its displacement from `start`, (2,), `ctrl` the force along x and y, in newtons.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.01

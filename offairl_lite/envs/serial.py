@@ -63,22 +63,17 @@ def _explained(error: Exception) -> str:
 def as_reward(task: object, reward: object) -> float:
     """Return a task's reward as a number; ValueError if it is none."""
     if reward is None or np.ndim(reward) or np.asarray(reward).dtype.kind not in "biuf":  # type: ignore
-        raise ValueError(
-            f"{task}: its step has returned {reward!r} for a reward; expected a number, 0.0 where "
-            "there is none"
-        )
+        wrong = f"its step has returned {reward!r} for a reward"
+        raise ValueError(f"{task}: {wrong}; expected a number, 0.0 where there is none")
     return float(reward)  # type: ignore[arg-type]
 
 
 class SerialEnv(SyncVectorEnv):
-    """Members of one task with the actions, seeds and saved states of a `BatchedEnv`.
+    """New `members` of one task with the actions, seeds and saved states of a `BatchedEnv`.
 
-    The variables inside a member are unknown. Its state is therefore the state of its random
-    generator before the reset, and the actions since then; it is restored by playing the episode
-    again. Actions from -1 to 1 are converted to the type and the units of the task.
-
-    `members` are new environments of one task, `units` their action space, as `require_boxes`
-    returns it, and `seeds` are for their first resets.
+    The variables inside a member are unknown. Its state is therefore that of its random generator
+    before the reset, and the actions since then; it is restored by playing the episode again.
+    Actions from -1 to 1 are converted to `units`, the task's own. `seeds` are for first resets.
     """
 
     single_observation_space: Box
@@ -182,8 +177,8 @@ class SerialEnv(SyncVectorEnv):
         """Keep a member's observation; ValueError if it does not fit the space."""
         shape, expected = np.shape(observation), self.single_observation_space.shape
         if shape != expected:
-            raise ValueError(
-                f"an observation has the shape {shape}; expected {expected}, as "
-                "observation_space says (reset returns observation, info)"
+            why = (
+                f"expected {expected}, as observation_space says (reset returns observation, info)"
             )
+            raise ValueError(f"an observation has the shape {shape}; {why}")
         np.stack([observation], out=self._last[i : i + 1])

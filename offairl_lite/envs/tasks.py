@@ -1,8 +1,7 @@
 """The tasks, each defined once, for n simulations along a leading axis.
 
 The mazes and the ants with strong and with weak legs follow Arnob (2020). Half cheetah, hopper,
-walker and ant equal the `v5` environments of Gymnasium with their default arguments to the last
-bit: operations, and random draws at a reset, have the same order. The marsh is this package's own.
+walker and ant equal Gymnasium's `v5` to the last bit: operations and draws have the same order.
 """
 
 from collections.abc import Callable

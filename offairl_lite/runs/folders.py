@@ -18,10 +18,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+import torch
+
 from offairl_lite import envs
 from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Stop, Trainer, complete, train
+from offairl_lite.core.networks import save_weights
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
@@ -66,7 +69,9 @@ def create(
         for name, network in inherited.items():
             network.save(made / f"{name}.safetensors")
         if demos is not None:
-            inputs.keep_demonstrations(made, demos)
+            of = {"lengths": torch.tensor(demos.lengths), "returns": torch.tensor(demos.returns)}
+            tensors, about = {**demos.transitions._asdict(), **of}, {"kind": "demonstrations"}
+            save_weights(made / inputs.COPY, tensors, about)
         spec.write(made)
         try:
             if existing != folder:
@@ -182,22 +187,18 @@ class _Worker:
 
     def keep(self, rows: list[Row]) -> None:
         """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
-        if rows:
-            self.keep_results()
+        if rows:  # Policies and rewards are kept before the curve speaks of them.
+            learned = None if self.trainer.discriminator is None else self.trainer.reward
+            for result in (self.trainer.policy, learned):
+                if result is not None:
+                    name = records.file_name(type(result), self.trainer.steps)
+                    records.write_whole(self.folder / name, result.save)
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
             self.note("running")
             self.draw()
         if self.done - self.saved >= self.spec.checkpoint_every:
             self.checkpoint()
-
-    def keep_results(self) -> None:
-        """Keep the policies and the rewards of an evaluation, before the curve speaks of it."""
-        learned = None if self.trainer.discriminator is None else self.trainer.reward
-        for result in (self.trainer.policy, learned):
-            if result is not None:
-                name = records.file_name(type(result), self.trainer.steps)
-                records.write_whole(self.folder / name, result.save)
 
     def draw(self) -> None:
         """Bring the run's picture up to date; where that fails, the run goes on without."""
