@@ -100,8 +100,6 @@ def probability_of_improvement(
 
 def success_rate(succeeded: Bool[np.ndarray, "N"]) -> tuple[float, float, float]:
     """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927)."""
-    if not len(succeeded):
-        raise ValueError("no seeds were given, and a success rate needs at least one")
     test = scipy.stats.binomtest(int(np.sum(succeeded)), len(succeeded))
     interval = test.proportion_ci(0.95, method="wilson")
     return float(np.mean(succeeded)), float(interval.low), float(interval.high)
@@ -117,16 +115,10 @@ def compare_successes(
     succeeds; if not, it is Fisher's exact one.
     """
     one, other = np.asarray(one, bool), np.asarray(other, bool)
-    if not len(one) or not len(other):
-        raise ValueError(f"found {len(one)} and {len(other)} seeds; both need at least one")
     above = float(one.mean() - other.mean())
     if not paired:
         table = [[one.sum(), (~one).sum()], [other.sum(), (~other).sum()]]
         return above, float(scipy.stats.fisher_exact(table).pvalue)
-    if len(one) != len(other):
-        raise ValueError(
-            f"found {len(one)} and {len(other)} seeds, expected as many: pair those that both have"
-        )
     only_one, only_other = int((one & ~other).sum()), int((other & ~one).sum())
     if not only_one + only_other:
         return above, 1.0

@@ -1,10 +1,8 @@
 """What a run is, in three groups: its schedule, its learner, and its discriminator.
 
-Each part of the code receives its own group. `Config.flat` puts all settings side by side, for
-tables, grids and the command line; `Config.of` and `Config.change` take such flat names.
-
-`PAPER` is the text of the paper and `CORRECTED` the mathematics done right; what its released code
-optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is filled in from that code.
+`Config.flat` puts all settings side by side, for tables, grids and the command line; `Config.of`
+and `Config.change` take such flat names. `PAPER` is the text of the paper and `CORRECTED` the
+mathematics done right; what its released code optimises is `ablations.released.RELEASE`.
 """
 
 from collections.abc import Iterator, Mapping

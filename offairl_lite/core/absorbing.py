@@ -1,12 +1,10 @@
 r"""Absorbing states: what follows a termination (Kostrikov et al. 2019, section 4.1).
 
 An imitator that is paid only while the episode lasts learns from the sign of its reward whether to
-prolong or to end it. The cure is to let a terminated episode go on, in a state $s_a$ that never
-changes, and to learn the reward there too. Observations get one more coordinate, 1 in $s_a$ and 0
-elsewhere; all other coordinates of $s_a$ are 0. A time limit never leads to $s_a$.
-
-The loop's return can be left to the critic (`bootstrap`), or written down, since it is a geometric
-series (`analytic`, the paper's $R_T$): $R_T = r(s_T, a_T) + \gamma \, r(s_a) / (1 - \gamma)$.
+end it. The cure is to let a terminated episode go on, in a state $s_a$ that never changes, and to
+learn the reward there too. Observations get one more coordinate, 1 in $s_a$, where all others are
+0, and 0 elsewhere. A time limit never leads to $s_a$. The loop's return is left to the critic
+(`bootstrap`), or written down (`analytic`): $R_T = r(s_T, a_T) + \gamma \, r(s_a) / (1 - \gamma)$.
 """
 
 import torch

@@ -1,8 +1,7 @@
 """Proximal policy optimisation (Schulman et al. 2017), for a population.
 
-The on-policy learner, as GAIL and the first AIRL had one: it learns from the steps that the
-present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
-so that log π is the same thing for the discriminator whoever trains the policy.
+It learns from the steps that the present policy has just taken, a few epochs long, and never looks
+at them again. The actor is SAC's, so that log π is the same thing for the discriminator.
 """
 
 from collections.abc import Iterator

@@ -1,9 +1,8 @@
 """Soft actor-critic (Haarnoja et al. 2018), for a population.
 
 The losses are pure functions in the symbols of the book (chapter 4), with the slips of the paper's
-print mended: the target takes the smaller critic, the entropy term stands inside γ, and a
-termination has no next value. Losses are summed over members and averaged over the batch, so that
-members do not influence one another.
+print mended. They are summed over members, which so do not influence one another, and averaged over
+the batch.
 """
 
 import math

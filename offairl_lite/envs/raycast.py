@@ -11,12 +11,10 @@ import numpy as np
 _SAMPLES = 2
 _LAMPS = np.array([[-0.55, -0.5, 1], [-0.43, -0.5, 1], [-0.49, -0.56, 1], [-0.49, -0.44, 1]])
 _LAMPS /= np.linalg.norm(_LAMPS, axis=1, keepdims=True)
-_LAMP_DISTANCE = 50.0
 
 _ZENITH = np.array([0.36, 0.56, 0.85])
 _HORIZON = np.array([0.84, 0.90, 0.96])
 _TILES = np.array([[0.56, 0.62, 0.70], [0.69, 0.75, 0.82]])
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
 class Camera(NamedTuple):
@@ -39,10 +37,10 @@ def render(
     centre = np.array(camera.lookat)
     centre[:2] += data.xpos[camera.body, :2]
     eye = centre - camera.distance * _axes(camera)[0]
-    lamps = centre + _LAMP_DISTANCE * _LAMPS
+    lamps = centre + 50 * _LAMPS
     # The colour of each geom, or of its material if it has none itself.
     rgba = model.geom_rgba.copy()
-    unpainted = (model.geom_matid >= 0) & (rgba == _DEFAULT_RGBA).all(axis=1)
+    unpainted = (model.geom_matid >= 0) & (rgba == np.float32([0.5, 0.5, 0.5, 1])).all(axis=1)
     rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]
     palette = np.concatenate([rgba[:, :3], _TILES])
     floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & camera.tiles

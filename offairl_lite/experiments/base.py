@@ -22,9 +22,9 @@ ALL_EXPERTS: Experts = {"demo": None, "full": None}
 class Experiment:
     """What is run under a name: configurations and seeds at each scale.
 
-    `variants` are the names of its runs, where it is several, and what each changes. `reward_from`
-    is the run whose learned reward is used, frozen, if any; `experts` says how many of the shipped
-    experts show the task at each scale, None all of them, `best` the strongest.
+    `variants` are its runs, where it is several, and what each changes. `reward_from` is the run
+    whose reward is used, frozen; `experts` says how many show the task, None all, `best` the
+    strongest.
     """
 
     about: str

@@ -1,9 +1,7 @@
-"""What a run needs to go on, in the subfolder `checkpoint/`, its disk space, and its lock.
+"""What a run needs to go on, in `checkpoint/`, its disk space, and its lock.
 
-- `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
-- `replay.f32`: the replay, mapped into memory, with all that the checkpoint refers to;
-- `lock`: held by the process that trains;
-- `log.txt`: the output of a process that another one started.
+There are `checkpoint.safetensors`, the trainer's state and what it belongs to; `replay.f32`, the
+replay, mapped into memory; `lock`, held by the process that trains; and `log.txt`, its output.
 """
 
 import json

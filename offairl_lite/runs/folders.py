@@ -43,9 +43,14 @@ def create(
 ) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
 
-    The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
-    `given` is what the run has of other runs, as `inputs.load` returns it, `shown` demonstrations
-    of which it keeps a copy.
+    Args:
+        folder: new or empty; it may be one below a run folder.
+        spec: what the run is.
+        inherited: what it has of other runs, as `inputs.load` returns it.
+        demos: demonstrations of which it keeps a copy.
+
+    Raises:
+        FileExistsError: the folder is not empty.
     """
     existing = records.beginning(folder)
     taken = FileExistsError(
@@ -91,9 +96,16 @@ def work(
 ) -> None:
     """Train a run folder from where it is to its end. A run that has ended is left as it is.
 
-    Members that diverge are given up: run.json says why, and the others go on. Demonstrations are
-    loaded if they are not given. ValueError says that the run is not what it began as, or that a
-    file is damaged; OSError that another process is at work on it, or that the disk is full.
+    Members that diverge are given up: run.json says why, and the others go on.
+
+    Args:
+        folder: of the run.
+        demonstrations: those that it began with; by default they are loaded.
+        progress: whether a bar is shown.
+
+    Raises:
+        ValueError: the run is not what it began as, or a file is damaged.
+        OSError: another process is at work on it, or the disk is full.
     """
     folder = Path(folder)
     spec = known(folder)
@@ -235,12 +247,18 @@ class _Worker:
 def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
     """Set a run another number of steps, or add seeds to it. `work` then trains what is new.
 
-    More steps are for all run folders of the run. New seeds get a run folder of their own, inside
-    `folder`, where `read` finds it; nothing is moved. ValueError says that the run has gone further
-    already, that a seed is there already, that the run builds upon members of another, that its
-    task cannot be played again, or that what it began with has changed; OSError that this is gone,
-    that a process is at work on the run, or that the disk has no room. Nothing is changed then. A
-    finished run keeps its policies and rewards until the longer one has its own.
+    New seeds get a run folder of their own, inside `folder`. A finished run keeps its policies and
+    rewards until the longer one has its own. If an error is raised, nothing is changed.
+
+    Args:
+        folder: of the run.
+        steps: of all its run folders, in all.
+        seeds: those to add.
+
+    Raises:
+        ValueError: the run has gone further already, a seed is there already, the run builds upon
+            members of another, its task cannot be played again, or what it began with has changed.
+        OSError: that is gone, a process is at work on the run, or the disk has no room.
     """
     before = {path: known(path) for path in run_folders(folder)}
     changes = {} if steps is None else {"total_steps": checked("steps", steps, Count)}
@@ -291,8 +309,10 @@ def verify(
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
     Its checkpoints are not needed. Of several run folders the first is verified; see `known`.
-    Returned are, by seed and step of the first evaluation, the recorded row and the row as it comes
-    out now. None stands for a member that had diverged, there or here.
+
+    Returns:
+        By seed and step of the first evaluation, the recorded row and the row as it comes out now;
+        None for a member that had diverged.
     """
     folder = run_folders(folder)[0]
     spec = known(folder, task, "verify")

@@ -75,9 +75,8 @@ def soft_evaluation(
 ) -> Solution:
     """Return the soft values of a given policy: its return plus α times its entropy.
 
-    V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. The
-    sum begins with the entropy in the state itself, as V of `soft_value_iteration` does. With a
-    temperature of 0 these are the ordinary values.
+    V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. At
+    α = 0 these are the ordinary values.
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)
