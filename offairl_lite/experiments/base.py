@@ -1,7 +1,7 @@
 """What the experiments on mazes and on robots have in common."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -27,17 +27,16 @@ class Experiment:
     strongest.
     """
 
-    about: str
     configs: Mapping[Scale, Config]
     variants: Mapping[str, Changes] = field(default_factory=dict)
     reward_from: str | None = None
     seeds: Seeds = field(default_factory=lambda: SEEDS)
     experts: Experts = field(default_factory=lambda: ALL_EXPERTS)
+    about: str = ""
 
 
 def experiment(
     base: Mapping[Scale, Config],
-    about: str,
     changes: Changes = NOTHING,
     *,
     demo: Changes = NOTHING,
@@ -45,7 +44,13 @@ def experiment(
 ) -> Experiment:
     """Return an experiment that changes this at both scales, and some more at demo scale."""
     full, small = (base[scale].change(**changes) for scale in ("full", "demo"))
-    return Experiment(about, {"demo": small.change(**demo), "full": full}, **others)
+    return Experiment({"demo": small.change(**demo), "full": full}, **others)
+
+
+def described(texts: str, experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
+    """Return experiments with what each is about, of lines with their names."""
+    about = dict(line.split(": ", 1) for line in texts.splitlines())
+    return {name: replace(one, about=about.pop(name)) for name, one in experiments.items()}
 
 
 def crossed(*axes: Mapping[str, Changes]) -> dict[str, Changes]:
