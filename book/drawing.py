@@ -1,21 +1,16 @@
 """What the chapters draw with: tables, diagrams and films in one style."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import HTML
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.quiver import Quiver
 
 from offairl_lite.analysis import plots
-from offairl_lite.envs.models import Side, walls
-from offairl_lite.tabular import MOVES
 
 EDGE = [
     patheffects.Stroke(linewidth=5, foreground="white"),
@@ -30,47 +25,6 @@ def bare(axes: Axes | Sequence[Axes]) -> None:
         ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
         for spine in ax.spines.values():
             spine.set_visible(False)
-
-
-def grid(ax: Axes, values: Float[np.ndarray, "S"], side: Side) -> AxesImage:
-    """Draw a function of the state of `tabular.maze` over the maze."""
-    cells, bounds = math.isqrt(len(values)), walls(side)
-    extent = 2 * (bounds.min(), bounds.max())
-    image = ax.imshow(
-        values.reshape(cells, cells),
-        origin="lower",
-        extent=extent,
-        cmap="cividis",
-        zorder=1,
-    )
-    plots.maze(ax, side)
-    return image
-
-
-def arrows(
-    ax: Axes,
-    policy: Float[np.ndarray, "S A"],
-    positions: Float[np.ndarray, "S 2"],
-    color: str = "white",
-) -> Quiver:
-    """Draw a policy's mean move in each square of `tabular.maze`.
-
-    It is short where the policy is undecided.
-    """
-    size = np.ptp(positions[:, 0]) / (math.isqrt(len(positions)) - 1)
-    move = 0.9 * size * (policy @ MOVES)
-    return ax.quiver(
-        *positions.T,
-        *move.T,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        pivot="mid",
-        width=0.004,
-        headwidth=4,
-        color=color,
-        zorder=1.5,
-    )
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> HTML:

@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import log_softmax
 
-from drawing import EDGE, arrows, bare, diagram, film, grid, table
+import plots
+from drawing import EDGE, bare, diagram, film, table
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration
@@ -55,7 +55,7 @@ def old_and_new(cells):
         planned = walk(new, policies[0], np.random.default_rng(3))
         with plots.style():
             fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.8), dpi=100)
-        image = grid(axes[1], np.zeros(cells**2), "Left")
+        image = plots.grid(axes[1], np.zeros(cells**2), "Left")
         image.set_clim(-14, 0)
         plots.maze(axes[0], "Left")
         bare(axes)
@@ -170,12 +170,12 @@ def best_rewards(learned, opponents, mdp, maze):
         for ax, (name, values) in zip(axes, maps.items(), strict=True):
             if ax is axes[0]:
                 limit = np.abs(values).max()
-                image = grid(ax, values, "Left")
+                image = plots.grid(ax, values, "Left")
                 image.set(cmap="PuOr", clim=(-limit, limit))
             else:
-                image = grid(ax, values - values.max(), "Left")
+                image = plots.grid(ax, values - values.max(), "Left")
                 policy = soft_value_iteration(mdp, values).policy
-                heads = arrows(ax, policy, maze.positions)
+                heads = plots.arrows(ax, policy, maze.positions)
                 heads.set_path_effects(OUTLINE)
             below = {
                 "orientation": "horizontal",
@@ -226,8 +226,8 @@ def entangled(rewards, new_policies, moved):
         for ax, name in zip(axes, shown, strict=True):
             value = rewards[name]
             value = value if value.ndim == 1 else value.max(1)
-            grid(ax, value - value.max(), "Right")
-            heads = arrows(ax, new_policies[name], moved.positions)
+            plots.grid(ax, value - value.max(), "Right")
+            heads = plots.arrows(ax, new_policies[name], moved.positions)
             heads.set_path_effects(OUTLINE)
             ax.set_title(name)
         bare(axes)

@@ -9,9 +9,9 @@ from matplotlib.colors import PowerNorm
 from scipy.sparse import eye_array
 
 import drawing
+import plots
 from drawing import number
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.tabular import (
     MDP,
     maxent_irl,
@@ -62,7 +62,7 @@ def learning(cells, alpha, num_frames=14):
         ("maze of the demonstrations", "the wall has moved"),
         strict=True,
     ):
-        image = drawing.grid(ax, np.zeros(S), side)
+        image = plots.grid(ax, np.zeros(S), side)
         image.set_clim(-0.6, 0)
         (edge,) = ax.plot([], [], color="white", linewidth=6)
         (line,) = ax.plot([], [], color=plots.RED, linewidth=3)
@@ -92,8 +92,8 @@ def experts(left, expert, right, expert_right, true_reward):
         fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
         shown = (("Left", left, expert), ("Right", right, expert_right))
         for ax, (side, maze, solution) in zip(axes, shown, strict=True):
-            image = drawing.grid(ax, true_reward, side)
-            heads = drawing.arrows(ax, solution.policy, maze.positions)
+            image = plots.grid(ax, true_reward, side)
+            heads = plots.arrows(ax, solution.policy, maze.positions)
             heads.set_path_effects(OUTLINE)
             ax.set_title(f"wall on the {side.lower()}")
             ax.set_axis_off()
@@ -194,9 +194,9 @@ def moved_wall(moved, right, value_of):
             axes.flat, moved.items(), strict=True
         ):
             visits = occupancy(right.mdp, policy).sum(1)
-            image = drawing.grid(ax, visits, "Right")
+            image = plots.grid(ax, visits, "Right")
             image.set(cmap="Purples", norm=PowerNorm(0.5, 0, 4))
-            drawing.arrows(ax, policy, right.positions, color="black")
+            plots.arrows(ax, policy, right.positions, color="black")
             ax.set_title(f"{name}: {number(value_of(policy, right))}")
             ax.set_axis_off()
         below = {

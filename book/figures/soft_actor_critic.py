@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from drawing import arrows, diagram, film, table
+import plots
+from drawing import diagram, film, table
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.runs import records
 from paper_figures import PAPER
 
@@ -43,10 +43,10 @@ def soft_iteration(grid, values, iterates, errors):
     with plots.style():
         fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.8), sharey=True)
         for k, ax in zip((0, 1, 5), axes, strict=True):
-            image = grid(ax, values[k], "Left")
+            image = plots.grid(ax, values[k], "Left")
             image.set_clim(-15, values.max())
             move = iterates[k].policy[every], grid.positions[every]
-            arrows(ax, *move, "black").width = 0.011
+            plots.arrows(ax, *move, "black").width = 0.011
             error = f"{errors[k]:.1f}" if k < 5 else "below $10^{-9}$"
             title = (
                 f"{k} improvement{'s' * (k != 1)}\nlargest error {error}"
@@ -64,7 +64,7 @@ def temperatures(solutions, grid):
         for ax, alpha in zip(axes, solutions, strict=True):
             visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
             share = visits.sum(1) / visits.sum()
-            image = grid(ax, np.log10(share), "Left")
+            image = plots.grid(ax, np.log10(share), "Left")
             image.set_clim(-4, -1)
             ax.set(
                 title=f"α = {alpha}", ylabel="y (m)" if alpha == 1 else ""

@@ -4,7 +4,8 @@ import pytest
 import torch
 from matplotlib.colors import to_hex
 
-from offairl_lite.analysis import plots
+import plots
+from offairl_lite import tabular
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.rewards import Reward
@@ -85,3 +86,23 @@ def test_walls_are_as_wide_as_they_are_whatever_is_drawn_beside_them(ax, colorba
     wide = ax.collections[0].get_linewidth()[0] / 72  # inches
     box = ax.get_window_extent().width / ax.figure.dpi
     assert wide / box == pytest.approx(0.04 / np.ptp(ax.get_xlim()))
+
+
+def test_a_grid_shows_every_square_in_its_place(ax):
+    maze = tabular.maze(5, "Right")
+    image = plots.grid(ax, maze.positions[:, 0], "Right")
+    np.testing.assert_allclose(image.get_extent(), [-0.1, 0.6, -0.1, 0.6])
+    # Row and column are y and x, from the bottom left.
+    assert image.origin == "lower"
+    np.testing.assert_allclose(np.asarray(image.get_array())[3], maze.positions[15:20, 0])
+
+
+def test_arrows_are_the_mean_moves(ax):
+    maze = tabular.maze(5, "Left")
+    policy = np.full((25, 5), 0.2)
+    policy[7] = [0, 0.5, 0.5, 0, 0]
+    quiver = plots.arrows(ax, policy, maze.positions)
+    moves = np.stack([quiver.U, quiver.V], 1)
+    np.testing.assert_allclose(moves[7], 0.9 * 0.14 * np.array([0.5, 0.5]))
+    np.testing.assert_allclose(np.delete(moves, 7, 0), 0, atol=1e-15)
+    np.testing.assert_allclose(quiver.get_offsets(), maze.positions)
