@@ -18,15 +18,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.networks import (
-    TINY,
-    Adam,
-    Normaliser,
-    StackedMLP,
-    descend,
-    optimizer_states,
-    zeros,
-)
+from offairl_lite.core.networks import TINY, Adam, Normaliser, StackedMLP, descend, states_of, zeros
 from offairl_lite.core.replay import Batch, LogDensity
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
 from offairl_lite.core.rng import Rng
@@ -144,7 +136,7 @@ class Discriminator:
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
         # Everything that updates change: the tensors themselves.
-        self.state = optimizer_states(reward=self.reward_optimizer, value=self.value_optimizer)
+        self.state = states_of(reward=self.reward_optimizer, value=self.value_optimizer)
         # What r must not see, its first layer multiplies with 0.
         self.mask = None
         if config.reward_sees is not None:

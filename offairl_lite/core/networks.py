@@ -203,7 +203,7 @@ def zeros(layout: Layout, num_params: int) -> Params:
     return torch.zeros(layout.members, num_params, device=layout.device)
 
 
-def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:
+def states_of(**optimizers: Adam) -> dict[str, Tensor]:
     """Return the states of optimizers, each name after its optimizer's."""
     return {f"{kind}.{name}": x for kind, it in optimizers.items() for name, x in it.state.items()}
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from offairl_lite.config import PPOConfig
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.networks import Adam, StackedMLP, descend, optimizer_states, zeros
+from offairl_lite.core.networks import Adam, StackedMLP, descend, states_of, zeros
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
@@ -95,7 +95,7 @@ class PPO:
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         # Everything that updates change: the tensors themselves.
-        self.state = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
+        self.state = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
     def init(self, rng: Rng) -> None:

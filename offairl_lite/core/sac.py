@@ -15,7 +15,7 @@ from offairl_lite.config import SACConfig, TD3Config
 from offairl_lite.core.absorbing import is_absorbing
 from offairl_lite.core.acceleration import is_large, piecewise
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.networks import Adam, TwinCritic, descend, optimizer_states, zeros
+from offairl_lite.core.networks import Adam, TwinCritic, descend, states_of, zeros
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch, chunks
 from offairl_lite.core.rng import Rng
@@ -87,7 +87,7 @@ class OffPolicy:
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-        trained = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
+        trained = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
         # Everything that updates change: the tensors themselves.
         self.state = {"target": self.target_params, **trained}
 
@@ -153,7 +153,7 @@ class SAC(OffPolicy):
         wanted = config.target_entropy
         self.target_entropy = -float(self.actor.action_dim) if wanted is None else wanted
         self.alpha_optimizer = Adam(self.log_alpha, config.learning_rate)
-        self.state |= optimizer_states(alpha=self.alpha_optimizer)
+        self.state |= states_of(alpha=self.alpha_optimizer)
 
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:

@@ -16,16 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import rescale_box
 
-from offairl_lite.envs.batched import (
-    Step,
-    checked_actions,
-    generator_words,
-    member_seeds,
-    require_episodes,
-    require_layout,
-    reset_mask,
-    set_generator_words,
-)
+from offairl_lite.envs import batched
 
 
 class TaskError(RuntimeError):
@@ -98,16 +89,19 @@ class SerialEnv(SyncVectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
         """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
-        mask, seeds = reset_mask(options, self.num_envs), member_seeds(seed, self.num_envs)
+        mask, seeds = (
+            batched.reset_mask(options, self.num_envs),
+            batched.member_seeds(seed, self.num_envs),
+        )
         for i in np.flatnonzero(mask).tolist():
             self._begin(i, self._seeds[i] if seeds[i] is None else seeds[i])
         del self._actions[: len(self._actions) - self._clock.max()]
         return self._last.copy(), {}
 
-    def step(self, actions: np.ndarray) -> Step:
+    def step(self, actions: np.ndarray) -> batched.Step:
         """Advance every member by one step, as `BatchedEnv.step`; TaskError if the task fails."""
-        require_episodes(self._idle)
-        self._actions.append(checked_actions(actions, self).astype(self._units.dtype))
+        batched.require_episodes(self._idle)
+        self._actions.append(batched.checked_actions(actions, self).astype(self._units.dtype))
         ends = [self._advance(i, action) for i, action in enumerate(self._actions[-1])]
         rewards, terminated, truncated = zip(*ends, strict=True)
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
@@ -116,12 +110,12 @@ class SerialEnv(SyncVectorEnv):
         """Return arrays for `set_state`; a member's episode has the last `clock` actions."""
         actions = np.array(self._actions, self._units.dtype)
         return {
-            "starts": generator_words(self._starts, self),
+            "starts": batched.generator_words(self._starts, self),
             "actions": actions.reshape(-1, self.num_envs, *self._units.shape),
             "clock": self._clock.copy(),
             "idle": self._idle.copy(),
             "observations": self._last.copy(),
-            "generators": generator_words(self.np_random, self),
+            "generators": batched.generator_words(self.np_random, self),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -131,8 +125,8 @@ class SerialEnv(SyncVectorEnv):
         """
         like, steps = self.get_state(), np.shape((state or {}).get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)
-        require_layout(state, like)
-        set_generator_words(self.np_random, state["starts"])
+        batched.require_layout(state, like)
+        batched.set_generator_words(self.np_random, state["starts"])
         self._seeds, self._starts = [None] * self.num_envs, deepcopy(list(self.np_random))
         self._last, self._actions = state["observations"].copy(), list(state["actions"].copy())
         self._clock, self._idle = np.zeros_like(state["clock"]), np.ones_like(state["idle"])
