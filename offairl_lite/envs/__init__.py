@@ -235,18 +235,22 @@ def make(
 ) -> BatchedEnv | SerialEnv:
     """Return a vector environment with one member per seed, without automatic resets.
 
-    `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces, or
-    dictionaries of observations, which are flattened. Its members are then stepped one after
-    another; so are Gymnasium's of `TASKS` with MuJoCo 3. A single seed s stands for s, s + 1, ...
-
-    Members start when the first `reset()` is called. A finished member must be reset, with
+    Members start when the first `reset()` is called. A finished one must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
-    every dimension, and are rescaled for an environment with other bounds. `get_state()` returns
-    arrays from which `set_state(state)` continues exactly, here or in another environment made with
-    the same id and population. With `"rgb_array"` for a `render_mode`, `render()` returns frames.
+    every dimension. `get_state()` returns arrays from which `set_state(state)` continues exactly,
+    here or in another environment made with the same id and population.
 
-    It is a ValueError if an argument is not as above, or see `spec` and `require_boxes`, and a
-    TaskError if the task's own code has failed.
+    Args:
+        env_id: a key of `TASKS`, or any Gymnasium id with flat `Box` spaces, or dictionaries of
+            observations, which are flattened; members of those are stepped one after another.
+        population: number of members.
+        seed: one for each, or s for s, s + 1, ...
+        num_threads: of the batched physics.
+        render_mode: `"rgb_array"`, for frames by `render()`.
+
+    Raises:
+        ValueError: an argument is not as above, or see `spec` and `require_boxes`.
+        TaskError: the task's own code has failed.
     """
     for name, count in (("population", population), ("num_threads", num_threads)):
         checked(name, count, Count)
