@@ -20,14 +20,29 @@ UNWANTED = re.compile(
 
 
 # On a dark page the browser asks a drawing for its dark form. Curves and
-# diagrams are drawn light on dark, with the hues that they have. A picture
-# of colours would lose its order, so it is dimmed, on white paper.
+# diagrams are drawn light on dark, with the hues that they have. A map
+# would lose its order, so it keeps its colours, dimmed, and only what is
+# around it turns light: titles, numbers and walls.
 DARK = "@media screen and (prefers-color-scheme: dark) {{ {} }}"
-INVERTED = (
-    "svg { filter: invert(0.91) hue-rotate(180deg) } "
-    "#patch_1 path { fill: none !important }"
-)
-DIMMED = "svg { filter: brightness(0.85) }"
+TURNED = "filter: invert(0.91) hue-rotate(180deg)"
+NO_PAPER = "#patch_1 path { fill: none !important }"
+INVERTED = f"svg {{ {TURNED} }} {NO_PAPER}"
+MAP = "[id^=axes_]:has(image)"
+AROUND_MAPS = f"""
+{NO_PAPER}
+image {{ filter: brightness(0.85) }}
+[id^=axes_]:not(:has(image)) {{ {TURNED} }}
+#figure_1 > [id^=text_], {MAP} [id^=text_] {{ fill: #e8e8e8 }}
+{MAP} [id^=_Walls] path,
+{MAP} [id*=tick_] use,
+{MAP} > [id^=patch_] path[style*="stroke: #000000"] {{
+  stroke: #e8e8e8 !important
+}}
+"""
+DIMMED = f"""
+@supports selector(:has(image)) {{ {AROUND_MAPS} }}
+@supports not selector(:has(image)) {{ svg {{ filter: brightness(0.85) }} }}
+"""
 
 
 def for_dark_pages(drawing: str) -> str:

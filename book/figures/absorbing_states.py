@@ -91,7 +91,8 @@ def fates(gammas, shifts, nothing, never, fall):
         image.set_rasterized(True)
         ax.plot(gammas, never, "k--", gammas, fall, "k--")
         ax.text(0.74, 0.9, "never ends", ha="center", color="white")
-        ax.text(0.74, -0.4, "walks to the goal", ha="center")
+        dark = "#111111"
+        ax.text(0.74, -0.4, "walks to the goal", ha="center", color=dark)
         ax.text(0.74, -2, "falls at once", ha="center", color="white")
         ax.set(xlabel=r"discount $\gamma$", ylabel="constant $c$ added")
         ax.set(ylim=(-2.5, 1.5))
