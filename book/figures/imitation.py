@@ -276,7 +276,7 @@ def distances(far, moved, REWARDS):
     """Return the table of distances from the experts."""
     return table(
         [
-            "distance",
+            "distance after the game",
             "A, from random",
             "A, from perfect",
             "B, from random",
@@ -286,7 +286,7 @@ def distances(far, moved, REWARDS):
             (
                 _formula(name),
                 *(
-                    f"{x[who, name]:.3f}"
+                    f"{100 * x[who, name]:.0f}\u00a0%"
                     for who in "AB"
                     for x in (far, moved)
                 ),
