@@ -128,6 +128,14 @@ def film(
     return np.stack(pictures)
 
 
+def percent(value: float, low: float = -26.5, high: float = -6.5) -> str:
+    """Return a return in percent, from `low`, 0 %, to `high`, 100 %.
+
+    As they come, these are the trap and the demonstrations of the maze.
+    """
+    return f"{number(100 * (value - low) / (high - low), 0)}\u00a0%"
+
+
 def number(x: float, digits: int = 1) -> str:
     """Return a number as tables show it, with a true minus sign."""
     return f"{x:z.{digits}f}".replace("-", "−")

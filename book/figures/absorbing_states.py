@@ -82,7 +82,7 @@ def cliff():
 
 def fates(gammas, shifts, nothing, never, fall):
     """Draw what the best policy does, by discount and constant."""
-    colors = ListedColormap([plots.RED, "#e6e6e6", plots.BLUE])
+    colors = ListedColormap([plots.RED, "#a5e5cb", plots.BLUE])
     with plots.style():
         _fig, ax = plt.subplots(figsize=(5.4, 3.5))
         image = ax.pcolormesh(
@@ -91,8 +91,9 @@ def fates(gammas, shifts, nothing, never, fall):
         image.set_rasterized(True)
         ax.plot(gammas, never, "k--", gammas, fall, "k--")
         ax.text(0.74, 0.9, "never ends", ha="center", color="white")
-        ax.text(0.74, -0.4, "arrives", ha="center")
-        ax.text(0.74, -2, "falls", ha="center", color="white")
+        dark = "#111111"
+        ax.text(0.74, -0.4, "walks to the goal", ha="center", color=dark)
+        ax.text(0.74, -2, "falls at once", ha="center", color="white")
         ax.set(xlabel=r"discount $\gamma$", ylabel="constant $c$ added")
         ax.set(ylim=(-2.5, 1.5))
         ax.grid(False)
@@ -133,49 +134,43 @@ def goes_on():
 def two_targets(k, learned, predicted, R_T):
     """Draw the value of the last step while critics learn."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.6, 2.9))
-        ax.plot(
-            k, learned["bootstrap"], color=plots.BLUE, label="bootstrap"
-        )
-        ax.plot(
-            k,
-            learned["analytic"],
-            "-.",
-            color=plots.ORANGE,
-            label="analytic",
-        )
-        ax.plot(k, predicted, "k:", label="bootstrap, predicted")
+        _fig, ax = plt.subplots(figsize=(6.2, 2.9))
+        ax.plot(k, learned["bootstrap"], color=plots.BLUE)
+        ax.plot(k, learned["analytic"], "-.", color=plots.ORANGE)
+        ax.plot(k, predicted, "k:")
+        ax.text(330, -4.2, "bootstrap", color=plots.BLUE)
+        ax.text(330, -5.2, "dotted: predicted")
+        ax.text(110, -8.3, "analytic", color=plots.ORANGE)
         plots.level(ax, R_T, "$R_T$")
         ax.set(
             xlabel="updates", ylabel="Q of the last step", ylim=(-10.5, 0.5)
         )
-        ax.legend(loc="upper right")
         plt.show()
 
 
 def hoppers_learn(kept, long, falling, run, mode):
     """Draw the returns with and without an absorbing state."""
 
-    def curves(ax, steps, returns, label, color, line, until=100_000):
+    def curves(ax, steps, returns, color, line, until=100_000):
         early = steps <= until
         steps, returns = steps[early] / 1_000, returns[:, early]
         ax.plot(steps, returns.T, line, color=color, alpha=0.4, lw=0.9)
-        ax.plot(
-            steps, returns.mean(0), line, color=color, label=label, lw=2.2
-        )
+        ax.plot(steps, returns.mean(0), line, color=color, lw=2.2)
 
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6), sharey=True)
-        with_end = "absorbing state"
+        _fig, axes = plt.subplots(1, 2, figsize=(6.4, 3.6), sharey=True)
         recorded = (kept["short"].values(), (long.steps, long.returns))
         for ax, (steps, returns) in zip(axes, recorded, strict=True):
-            curves(ax, steps, returns, with_end, plots.BLUE, "-")
-            no_end = ("no absorbing state", plots.RED, "--", steps[-1])
+            curves(ax, steps, returns, plots.BLUE, "-")
+            no_end = (plots.RED, "--", steps[-1])
             curves(ax, falling.steps, falling.returns, *no_end)
             ax.set_title(f"{steps[-1]:,} steps")
         mine = {"color": "black", "lw": 1.4, "marker": "."}
         steps, returns = run.steps / 1_000, run.returns.mean(0)
-        axes[0].plot(steps, returns, label="yours", **mine)
+        axes[0].plot(steps, returns, **mine)
+        axes[0].text(4, 520, "yours", ha="center")
+        axes[1].text(4, 3_200, "absorbing state", color=plots.BLUE)
+        axes[1].text(40, 560, "no absorbing state", color=plots.RED)
         for ax in axes:
             named = ax is axes[0]
             plots.level(
@@ -187,7 +182,6 @@ def hoppers_learn(kept, long, falling, run, mode):
         words = {"color": plots.GREY, "fontsize": "small"}
         axes[0].text(1, 1_090, "standing still", **words)
         axes[0].set(xlim=(0, 8.3))
-        axes[0].legend(loc="upper left", bbox_to_anchor=(0, 0.86))
         plt.show()
 
 

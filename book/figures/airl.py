@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import log_softmax
 
 import plots
-from drawing import EDGE, bare, diagram, film, table
+from drawing import EDGE, bare, diagram, film, number, percent, table
 from offairl_lite import tabular
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
@@ -194,25 +194,29 @@ def game(games):
     colors = (plots.RED, plots.ORANGE, plots.BLUE, plots.GREEN)
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.3), sharey=True)
-        for (step, (history, _)), color in zip(
-            games.items(), colors, strict=True
-        ):
+        for (history, _), color in zip(games.values(), colors, strict=True):
             for ax, column in zip(axes, history.T, strict=True):
-                ax.plot(column, color=color, label=f"η = {step}")
+                ax.plot(column, color=color)
                 ax.set(xlabel="round", yscale="log", ylim=(1e-5, 30))
-        axes[0].set_ylabel("distance of visits")
-        axes[1].set_ylabel("largest error of the reward")
-        axes[1].tick_params(labelleft=True)
-        axes[0].legend(loc="lower left")
+        axes[0].set_title("distance of visits")
+        axes[1].set_title("largest error of the reward")
+        for x, y, text, color in (
+            (30, 1.1, "η = 1", colors[0]),
+            (30, 0.06, "0.5", colors[1]),
+            (14, 1e-4, "0.2", colors[2]),
+            (43, 1.2e-3, "0.1", colors[3]),
+        ):
+            axes[0].text(x, y, text, color=color)
         plt.show()
 
 
 def after_the_move(score):
     """Return the table of returns where the wall has moved."""
+    best, *_, worst = score.values()
     return table(
-        ["planned on, after the wall has moved", "true return"],
+        ["planned on, after the wall has moved", "true return", "score"],
         [
-            (name, f"{value:.2f}".replace("-", "−"))
+            (name, number(value, 2), percent(value, worst, best))
             for name, value in score.items()
         ],
     )
@@ -266,9 +270,11 @@ def spreads(results):
     def spread_of(values):
         if values is None:
             return "–"
-        low, high = values.min(), values.max()
-        text = f"{np.median(values):.1f} [{low:.1f},\u00a0{high:.1f}]"
-        return text.replace("-", "−")
+        middle, low, high = (
+            percent(x).removesuffix("\u00a0%")
+            for x in (np.median(values), values.min(), values.max())
+        )
+        return f"{middle}\u00a0% [{low},\u00a0{high}]"
 
     rows = [
         (name, spread_of(old), spread_of(new))
@@ -297,8 +303,7 @@ def blind(columns, LEFT, RIGHT):
                 look = {"lw": 2.4, "path_effects": EDGE, "zorder": 4}
                 ax.plot(*path[:, :2].T, color=color, **look)
             pair[0].set_title(name)
-            returned = abs(runs[1].returns[seed, -1])
-            pair[1].set_title(f"return −{returned:.0f}")
+            pair[1].set_title(percent(runs[1].returns[seed, -1]))
         bare(axes)
         for ax, place in zip(axes[:, 0], ("old", "new"), strict=True):
             ax.set_ylabel(f"{place} maze")

@@ -10,7 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from torch import Generator, nn
 
 import plots
-from drawing import diagram, film, table
+from drawing import diagram, film, percent, table
 from offairl_lite import envs
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL
@@ -248,26 +248,27 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             ax.bar(place, share[:, RIGHT], 0.4, color=paint)
             ax.bar(place, -share[:, LEFT], 0.4, color=paint)
         ax.axhline(0, color="black", lw=0.8)
-        ended = [f"{100 * gone(p, steps):.0f} %" for p in (teacher, policy)]
-        ax.set_title("ended: expert {}, imitator {}".format(*ended))
+        ended = [f"{100 * gone(p, steps):.0f} %" for p in (policy, teacher)]
+        ax.set_title("gone: {}, expert {}".format(*ended), size="medium")
         ax.grid(False)
         ax.set_ylim(-0.5, 0.5)
 
     with plots.style():
-        fig, axes = plt.subplots(
+        _fig, axes = plt.subplots(
             3, 2, figsize=(7.4, 7.4), sharex=True, sharey=True
         )
         for row, name in zip(axes, REWARDS, strict=True):
-            row[0].set_ylabel(_formula(name), color=COLORS[name])
+            row[0].set_ylabel(_formula(name), color=COLORS[name], size=12)
             for ax, who in zip(row, EXPERTS, strict=True):
                 policies = played[who, name], EXPERTS[who]
                 draw_game(ax, *policies, COLORS[name], WHEN[who])
         for ax, who in zip(axes[0], EXPERTS, strict=True):
-            ax.set_title(f"{ABOUT[who]}\n\n{ax.get_title()}")
+            ax.set_title(f"{ABOUT[who]}\n\n{ax.get_title()}", size="large")
         for ax in axes[-1]:
             ax.set(xlabel="room", xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
-            ax.set_yticklabels(["40 %", "0", "40 %"])
-        fig.supylabel("share of discounted time (left below, right above)")
+            ax.set_yticklabels(
+                ["40 %\nto the left", "0", "40 %\nto the right"]
+            )
         plt.show()
 
 
@@ -275,7 +276,7 @@ def distances(far, moved, REWARDS):
     """Return the table of distances from the experts."""
     return table(
         [
-            "distance",
+            "distance after the game",
             "A, from random",
             "A, from perfect",
             "B, from random",
@@ -285,7 +286,7 @@ def distances(far, moved, REWARDS):
             (
                 _formula(name),
                 *(
-                    f"{x[who, name]:.3f}"
+                    f"{100 * x[who, name]:.0f}\u00a0%"
                     for who in "AB"
                     for x in (far, moved)
                 ),
@@ -361,8 +362,8 @@ def dac_training(NUM_ROUNDS, history, extent):
     """Draw paths and verdicts during the training."""
     shown = [0, 4, 9, NUM_ROUNDS - 1]
     with plots.style():
-        fig, axes = plt.subplots(1, 4, figsize=(8.4, 2.9))
-        for ax, k in zip(axes, shown, strict=True):
+        fig, axes = plt.subplots(2, 2, figsize=(6.8, 6.2))
+        for ax, k in zip(axes.flat, shown, strict=True):
             path, verdict = history[k]
             look = {"cmap": VERDICT, "vmin": 0, "vmax": 1, "zorder": 1}
             image = ax.imshow(
@@ -373,8 +374,8 @@ def dac_training(NUM_ROUNDS, history, extent):
             ax.plot(*xy, color="white", lw=4, zorder=4)
             ax.plot(*xy, color="black", lw=1.8, zorder=5)
             ax.axis("off")
-            score = f"return {path.reward.sum():.1f}".replace("-", "−")
-            ax.set_title(f"{100 * (k + 1):,} updates:\n{score}")
+            reached = percent(path.reward.sum().item())
+            ax.set_title(f"{100 * (k + 1):,} updates: {reached}")
         bar = fig.colorbar(image, ax=axes, shrink=0.65, label="D")
         bar.set_ticks([0, 0.5, 1], labels=["0", "½", "1"])
         plt.show()
@@ -421,15 +422,12 @@ def efficiency(RUNS, escape, median, paths):
 def ends_of_runs(runs, ends):
     """Return the table of returns at the end."""
     return table(
-        ["five seeds", "steps", "median return at the end", "worst"],
+        ["five seeds", "steps", "median score at the end", "worst"],
         [
             (
                 name.replace(" ", "\u00a0"),
                 f"{runs[name].steps[-1]:,}",
-                *(
-                    f"{x:.1f}".replace("-", "−")
-                    for x in (np.median(e), e.min())
-                ),
+                *(percent(x) for x in (np.median(e), e.min())),
             )
             for name, e in ends.items()
         ],
@@ -503,14 +501,17 @@ def replay(drift, shares, chances):
         for who, color in zip(
             drift, (plots.BLUE, plots.ORANGE), strict=True
         ):
-            look = {"color": color, "ms": 4, "label": f"{who} of its steps"}
-            axes[0].plot(100 * shares, drift[who], "o-", **look)
+            axes[0].plot(100 * shares, drift[who], "o-", color=color, ms=4)
             for y, line in zip(chances[who], ("-", "--"), strict=True):
                 axes[1].plot(100 * shares, y, line, color=color)
-        axes[0].legend(loc="upper left", title="expert goes right in")
-        axes[1].plot([], [], "k-", label="rooms 1 to 6")
-        axes[1].plot([], [], "k--", label="last room")
-        axes[1].legend(loc="lower left")
+        for ax, x, y, text, color in (
+            (axes[0], 60, 0.08, "95 % expert", plots.BLUE),
+            (axes[0], 28, 0.24, "60 % expert", plots.ORANGE),
+            (axes[1], 30, 0.89, "95 %: last room", plots.BLUE),
+            (axes[1], 20, 0.7, "60 %: rooms 1 to 6", plots.ORANGE),
+            (axes[1], 18, 0.4, "60 %: last room", plots.ORANGE),
+        ):
+            ax.text(x, y, text, color=color)
         axes[0].set(ylabel="distance from the expert", ylim=(0, 0.52))
         axes[1].set(ylabel="share of steps to the right", ylim=(0, 1.04))
         for ax in axes:

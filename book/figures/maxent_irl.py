@@ -10,7 +10,7 @@ from scipy.sparse import eye_array
 
 import drawing
 import plots
-from drawing import number
+from drawing import number, percent
 from offairl_lite import tabular
 from offairl_lite.tabular import (
     MDP,
@@ -86,6 +86,15 @@ def learning(cells, alpha, num_frames=14):
     return np.concatenate([pictures, *[pictures[-1:]] * 5])
 
 
+def _arrows(ax, policy, maze):
+    # Of every other square in both directions, so that they can be seen
+    cells = np.arange(len(policy)).reshape(-1, round(len(policy) ** 0.5))
+    chosen = cells[1::2, 1::2].ravel()
+    heads = plots.arrows(ax, policy[chosen], maze.positions[chosen])
+    heads.set(path_effects=OUTLINE)
+    heads.width = 0.009
+
+
 def experts(left, expert, right, expert_right, true_reward):
     """Draw the experts of both mazes over the true reward."""
     with plots.style():
@@ -93,8 +102,7 @@ def experts(left, expert, right, expert_right, true_reward):
         shown = (("Left", left, expert), ("Right", right, expert_right))
         for ax, (side, maze, solution) in zip(axes, shown, strict=True):
             image = plots.grid(ax, true_reward, side)
-            heads = plots.arrows(ax, solution.policy, maze.positions)
-            heads.set_path_effects(OUTLINE)
+            _arrows(ax, solution.policy, maze)
             ax.set_title(f"wall on the {side.lower()}")
             ax.set_axis_off()
         fig.colorbar(image, ax=axes, shrink=0.75, label="true reward (m)")
@@ -104,24 +112,40 @@ def experts(left, expert, right, expert_right, true_reward):
 def returns_of_experts(best_left, best_right, carried):
     """Return the table of what the policies of two experts return."""
     return drawing.table(
-        ("policy", "true return"),
+        ("policy", "true return", "score"),
         [
-            ("expert of the first maze, at home", number(best_left)),
-            ("expert of the second maze, at home", number(best_right)),
-            ("expert of the first maze, in the second", number(carried)),
+            ("expert of the first maze, at home", number(best_left), "–"),
+            *(
+                (name, number(value), percent(value, carried, best_right))
+                for name, value in (
+                    ("expert of the second maze, at home", best_right),
+                    ("expert of the first maze, in the second", carried),
+                )
+            ),
         ],
     )
 
 
 def ranges(true_reward, shaped):
-    """Return the table of two rewards, from smallest to largest."""
-    return drawing.table(
-        ("reward", "smallest", "largest"),
-        [
-            (name, number(r.min()), number(r.max()))
-            for name, r in (("true", true_reward), ("shaped", shaped))
-        ],
-    )
+    """Draw a reward without and with a shaping, and their policies."""
+    left = tabular.maze(round(len(true_reward) ** 0.5), "Left")
+    with plots.style():
+        fig, axes = plt.subplots(1, 2, figsize=(7.4, 4.2))
+        for ax, reward, name in zip(
+            axes,
+            (true_reward, shaped),
+            ("the true reward", "the same, shaped at random"),
+            strict=True,
+        ):
+            shown = reward if reward.ndim == 1 else reward.mean(1)
+            image = plots.grid(ax, shown, "Left")
+            plan = soft_value_iteration(left.mdp, reward, 0.05)
+            _arrows(ax, plan.policy, left)
+            ax.set_title(name)
+            ax.set_axis_off()
+            below = {"orientation": "horizontal", "shrink": 0.7}
+            fig.colorbar(image, ax=ax, label="reward", pad=0.03, **below)
+        plt.show()
 
 
 def loop():
@@ -190,14 +214,19 @@ def moved_wall(moved, right, value_of):
     """Draw what four rewards lead to where the wall has moved."""
     with plots.style():
         fig, axes = plt.subplots(2, 2, figsize=(7.2, 7.9))
+        worst, best = (
+            value_of(moved[name], right)
+            for name in ("α log π", "true r(s)")
+        )
         for ax, (name, policy) in zip(
             axes.flat, moved.items(), strict=True
         ):
             visits = occupancy(right.mdp, policy).sum(1)
             image = plots.grid(ax, visits, "Right")
-            image.set(cmap="Purples", norm=PowerNorm(0.5, 0, 4))
-            plots.arrows(ax, policy, right.positions, color="black")
-            ax.set_title(f"{name}: {number(value_of(policy, right))}")
+            image.set(cmap="Purples_r", norm=PowerNorm(0.5, 0, 4))
+            _arrows(ax, policy, right)
+            value = value_of(policy, right)
+            ax.set_title(f"{name}: {percent(value, worst, best)}")
             ax.set_axis_off()
         below = {
             "orientation": "horizontal",
@@ -222,12 +251,13 @@ def along_the_way(best_left, best_right, curves, carried):
                 ("r(s)", plots.BLUE, "-"),
                 ("r(s, a)", plots.ORANGE, "--"),
             ):
-                ax.plot(*curves[name, place], line, color=color, label=name)
+                ax.plot(*curves[name, place], line, color=color)
             plots.level(ax, level, "expert", plots.GREEN)
             ax.set(xlabel="steps of L-BFGS", title=f"{place} maze")
         plots.level(axes[1], carried, "old policy", plots.RED)
         axes[0].set(ylabel="true return", ylim=(-14, -3))
-        axes[1].legend(loc="lower right")
+        axes[1].text(205, -5.5, "r(s)", color=plots.BLUE, ha="right")
+        axes[1].text(115, -7.4, "r(s, a)", color=plots.ORANGE)
         plt.show()
 
 

@@ -11,6 +11,9 @@ import plots
 from offairl_lite.analysis.statistics import difference, interquartile_mean
 from offairl_lite.core.policies import MultiplicativeGaussian
 
+SKILLS = {"walk": plots.PURPLE, "reach": plots.BLUE}
+"""Two primitives, in the toy's colours. Their product is green."""
+
 
 def film_of_the_gate(num_frames=32):
     """Return a film of two policies, added and multiplied."""
@@ -29,16 +32,18 @@ def film_of_the_gate(num_frames=32):
         title = fig.suptitle(" ")
         images = []
         for ax, name in zip(axes, ("added", "multiplied"), strict=True):
-            image = ax.imshow(0 * x, cmap="cividis", vmax=1, **looks)
+            image = ax.imshow(0 * x, cmap="Greens", vmax=1, **looks)
             images.append(image)
-            for m, s, color in zip(
-                mean, std, (plots.ORANGE, plots.GREEN), strict=True
-            ):
+            for m, s, color in zip(mean, std, SKILLS.values(), strict=True):
                 edge = {"fill": False, "edgecolor": color, "linewidth": 2}
                 ax.add_patch(Ellipse(m, *(4 * s), **edge))
-            ax.set(title=name, xlabel="first component")
+            ax.set(title=name, xlabel="legs", xticks=[], yticks=[])
             ax.grid(False)
-        axes[0].set(ylabel="second component")
+            for (skill, color), at in zip(
+                SKILLS.items(), ((1.4, 1.4), (-2.3, -0.3)), strict=True
+            ):
+                ax.text(*at, skill, color=color, fontsize="large")
+        axes[0].set(ylabel="arm")
 
     def draw(i):
         w = 0.5 + 0.45 * np.sin(2 * np.pi * i / num_frames)
@@ -46,7 +51,7 @@ def film_of_the_gate(num_frames=32):
         product = np.exp(w * each[0] + (1 - w) * each[1])
         for image, density in zip(images, (added, product), strict=True):
             image.set_data(density / density.max())
-        title.set_text(f"gate: {w:.2f} (orange) and {1 - w:.2f} (green)")
+        title.set_text(f"gate: {w:.2f} for walk, {1 - w:.2f} for reach")
 
     with plots.style():
         return drawing.film(fig, draw, num_frames)
@@ -98,22 +103,23 @@ def ellipses(compose):
 
     with plots.style():
         _fig, axes = plt.subplots(
-            1, 3, figsize=(7.4, 2.8), sharex=True, sharey=True
+            1, 3, figsize=(6.6, 2.7), sharex=True, sharey=True
         )
+        walk, reach = SKILLS.values()
         gates = ([0.5, 0.5], [0.9, 0.1], [0.1, 0.9])
         for ax, weight in zip(axes, gates, strict=True):
-            ellipse(
-                ax, mean[0], std[0], edgecolor=plots.ORANGE, linestyle=":"
-            )
-            ellipse(
-                ax, mean[1], std[1], edgecolor=plots.GREEN, linestyle="--"
-            )
+            ellipse(ax, mean[0], std[0], edgecolor=walk, linestyle=":")
+            ellipse(ax, mean[1], std[1], edgecolor=reach, linestyle="--")
             both = compose(mean, std, np.array(weight))
-            ellipse(ax, *both, edgecolor=plots.BLUE)
+            ellipse(ax, *both, edgecolor=plots.GREEN)
             ax.set(xlim=(-2.4, 2.4), ylim=(-2.4, 2.4), aspect="equal")
-            ax.set(title=f"orange {weight[0]}, green {weight[1]}")
-            ax.set(xlabel="first component")
-        axes[0].set_ylabel("second component")
+            ax.set(xlabel="legs", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
+            for at, name, w, color in (
+                ((1.2, 1.3), "walk", weight[0], walk),
+                ((-2.2, -0.2), "reach", weight[1], reach),
+            ):
+                ax.text(*at, f"{name}\n{w}", color=color, linespacing=1)
+        axes[0].set_ylabel("arm")
         plt.show()
 
 
@@ -121,17 +127,17 @@ def two_skills(added, multiplied):
     """Draw robots whose skills are added, and multiplied."""
     with plots.style():
         _fig, axes = plt.subplots(
-            1, 2, figsize=(7.4, 3.9), sharex=True, sharey=True
+            1, 2, figsize=(6.6, 3.6), sharex=True, sharey=True
         )
         shown = (
-            ("added", added, plots.RED),
-            ("multiplied", multiplied, plots.BLUE),
+            ("added", added, plots.GREY),
+            ("multiplied", multiplied, plots.GREEN),
         )
         for ax, (name, moves, color) in zip(axes, shown, strict=True):
             paths = np.pad(moves.cumsum(1), ((0, 0), (1, 0), (0, 0)))
             ax.plot(*paths.T, color=color, alpha=0.35, lw=1)
             ax.plot(*paths[:, -1].T, "o", color=color, ms=4)
-            ax.plot(1, 1, "*", color=plots.GREEN, mec="black", ms=15)
+            ax.plot(1, 1, "*", color=plots.ORANGE, mec="black", ms=17)
             ax.set(title=name, xlabel="legs: metres walked", aspect="equal")
         axes[0].set_ylabel("arm: metres raised")
         plt.show()

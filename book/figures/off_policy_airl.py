@@ -7,7 +7,7 @@ from matplotlib import patheffects
 from matplotlib.collections import LineCollection
 
 import plots
-from drawing import diagram, film, table
+from drawing import diagram, film, percent, table
 from offairl_lite import demonstrations
 from offairl_lite.envs.models import GOAL, walls
 from offairl_lite.runs import records
@@ -42,15 +42,17 @@ def _draw_paths(ax, paths, color):
 
 
 def _levels(ax, demonstrated):
-    # what the demonstrations return, and the trap
+    # what the demonstrations return, and the trap, with the score as axis
     plots.level(ax, demonstrated, "demonstrations", plots.GREEN)
     plots.level(ax, -26.5, "the trap", plots.GREY, ":")
+    ticks = np.array([-26.5, -16.5, -6.5])
+    ax.set_yticks(ticks, labels=[percent(value) for value in ticks])
     ax.set_ylim(-30, -4)
 
 
 def _spread(ends):
     middle, low, high = map(number, np.percentile(ends, (50, 0, 100)))
-    return f"{middle} [{low}, {high}]"
+    return f"{middle}\u00a0% [{low},\u00a0{high}]"
 
 
 def moving_wall(imitation, demonstrated, kept):
@@ -183,9 +185,9 @@ def mazes(demonstrated):
 def arrivals(past, ends, names):
     """Return the table of seeds that arrive."""
     return table(
-        ["training with", "arrive", "median return"],
+        ["training with", "arrive", "median score"],
         [
-            (name, f"{past[name]} of 5", number(np.median(ends[name]), 1))
+            (name, f"{past[name]} of 5", percent(np.median(ends[name])))
             for name in list(names)[:3]
         ],
     )
@@ -200,7 +202,7 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
         steps, values = np.transpose(curve)
         axes[0].plot(steps / 1_000, values, "o-", color=plots.BLUE, ms=3)
         _levels(axes[0], expert.returns.mean())
-        axes[0].set(xlabel="thousand environment steps", ylabel="return")
+        axes[0].set(xlabel="thousand environment steps", title="score")
         image = _reward_map(axes[1], "Left", airl, scale)
         _draw_paths(axes[1], paths, plots.BLUE)
         fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
@@ -213,12 +215,12 @@ def wall_moved(old_return, stuck, new, airl, scale):
         fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
         shown = (
             (
-                f"old policy: return {number(old_return, 1)}",
+                f"old policy: {percent(old_return)}",
                 stuck,
                 plots.RED,
             ),
             (
-                f"new policy: return {number(new['new_return'], 1)}",
+                f"new policy: {percent(new['new_return'])}",
                 new["new_paths"],
                 plots.GREEN,
             ),
@@ -245,7 +247,7 @@ def five_seeds(imitation, expert, transfer, target):
             plots.curve(ax, run.steps / 1_000, run.returns, "", color)
             _levels(ax, value)
             ax.set(title=title, xlabel="thousand steps")
-        axes[0].set(ylabel="true return")
+        axes[0].set(ylabel="score")
         plt.show()
 
 
@@ -253,27 +255,31 @@ def behind_the_star(imitation, released, line, kept):
     """Draw rewards and log π on the line through the star."""
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.0), sharex=True)
-        for run, color, label in (
-            (imitation, plots.BLUE, "AIRL loss"),
-            (released, plots.ORANGE, "log-ratio loss"),
+        for run, color in (
+            (imitation, plots.BLUE),
+            (released, plots.ORANGE),
         ):
             r = run.reward(line.expand(5, -1, -1)).numpy()
             r = (r - r.max(1, keepdims=True)).T
             axes[0].plot(line[:, 1], r, color=color, lw=1)
-            axes[0].plot([], [], color=color, label=label)
         sides = (
-            (kept["log_pi"]["star"], plots.GREEN, "experts"),
-            (kept["log_pi"]["wall"], plots.BLUE, "own actions"),
+            (kept["log_pi"]["star"], plots.GREEN),
+            (kept["log_pi"]["wall"], plots.BLUE),
         )
-        for drawn, color, label in sides:
+        for drawn, color in sides:
             y, value = drawn["y"].flatten(), drawn["log_pi"].flatten()
-            axes[1].plot(y, value, ".", color=color, label=label, alpha=0.6)
+            axes[1].plot(y, value, ".", color=color, alpha=0.6)
         for ax in axes:
             ax.axvline(GOAL[1], color=plots.GREY, ls=":", lw=1.2)
             ax.set(xlim=(0.4, 0.56), xlabel="y (m)")
             ax.set_xticks((0.4, 0.45, 0.5, 0.55))
-        axes[0].legend(loc="lower right", fontsize="large")
-        axes[1].legend(loc="lower left", fontsize="large")
+        for ax, x, y, text, color in (
+            (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
+            (axes[0], 0.555, -0.8, "log-ratio loss", plots.ORANGE),
+            (axes[1], 0.495, -30, "experts", plots.GREEN),
+            (axes[1], 0.558, -9, "own actions", plots.BLUE),
+        ):
+            ax.text(x, y, text, color=color, ha="right")
         axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")
         axes[1].set(ylabel=r"the policy's $\log\ \pi$", ylim=(-75, 4))
         plt.show()
@@ -290,7 +296,11 @@ def robot_results():
                 f"records/what-decides-demo/{robot}-{loss}-fixed-short"
             )
         recipe, exact = (
-            _spread(robot_runs[robot, loss].returns[:, -1])
+            _spread(
+                100
+                * robot_runs[robot, loss].returns[:, -1]
+                / demonstrated_return[robot]
+            )
             for loss in ("released", "exact")
         )
         rows.append(
@@ -304,7 +314,7 @@ def robots(rows):
     return table(
         [
             "median [worst, best seed]",
-            "demonstrations",
+            "demonstrations return",
             "recipe",
             "AIRL loss",
         ],

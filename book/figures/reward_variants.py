@@ -87,26 +87,48 @@ def learning(story_r, STORIES, hold=2):
         return film(fig, draw, hold * len(story_r) + 6)
 
 
+def _score(returns, shown):
+    """Return the book's score: 0 is the trap, 100 the expert."""
+    trap = -26.5
+    return 100 * (np.asarray(returns) - trap) / (shown - trap)
+
+
+def _score_axis(ax):
+    # The trap and the expert are named at the lines themselves.
+    ax.set(xlim=(-215, 125), xticks=(-200, -100, 0, 100))
+    ax.set_xlabel("score at the end, %")
+    for at, name, color in (
+        (0, "trap", plots.GREY),
+        (100, "expert", plots.GREEN),
+    ):
+        ax.axvline(at, color=color, ls="--", lw=1.2, zorder=0)
+        place = {"xycoords": ("data", "axes fraction")}
+        ax.annotate(name, (at, 1.02), ha="center", color=color, **place)
+
+
 def variants(NAMES, final, COLORS, correlation, shown):
-    """Draw returns and correlations of the variants."""
+    """Draw scores and correlations of the variants."""
     LABELS = [
-        "1: logit, $r(s, a)$",
-        "2: logit, $r(s)$",
-        "3: $r(s, a)$",
-        "4: $r(s)$",
-        "DAC: logit",
+        "logit, $r(s, a)$ in $f$",
+        "logit, $r(s)$ in $f$",
+        "$r(s, a)$",
+        "$r(s)$",
+        "DAC's logit",
     ]
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.1), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.3), sharey=True)
         for i, name in enumerate(NAMES):
-            _dots(axes[0], i, final[name], COLORS[name])
+            _dots(axes[0], i, _score(final[name], shown), COLORS[name])
             _dots(axes[1], i, correlation[name], COLORS[name])
-        axes[0].axvline(shown, color=plots.GREEN, ls="--", lw=1.2)
+        _score_axis(axes[0])
         axes[1].axvline(0, color=plots.GREY, lw=1)
         axes[0].set(yticks=range(5), yticklabels=LABELS, ylim=(4.5, -0.5))
-        axes[0].set(xlim=(-68, -3), xlabel="true return at the end")
-        axes[0].set_xticks(range(-60, 0, 10))
-        axes[1].set(xlim=(-1.08, 1.08), xlabel="correlation of the returns")
+        for label, name in zip(
+            axes[0].get_yticklabels(), NAMES, strict=True
+        ):
+            label.set_color(COLORS[name])
+        axes[1].set(xlim=(-1.08, 1.08), xticks=(-1, 0, 1))
+        axes[1].set_xlabel("learned and true return:\ncorrelation")
         plt.show()
 
 
@@ -150,30 +172,32 @@ def feedback():
     plt.show()
 
 
+def _named(ax, x, y, name, color, **more):
+    # A name at the right end of a line, instead of a legend.
+    place = {"xytext": (4, 0), "textcoords": "offset points"}
+    ax.annotate(name, (x, y), color=color, va="center", **place, **more)
+
+
 def alternation(full, part):
     """Draw how far rounds lead from the fixed point."""
+    four = (plots.RED, plots.ORANGE, plots.GREEN, plots.BLUE)
+    three = (plots.RED, plots.GREEN, plots.BLUE)
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
-        colors = (plots.RED, plots.ORANGE, plots.GREEN, plots.BLUE)
-        for (alpha, errors), color in zip(
-            full.items(), colors, strict=True
+        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.2), sharey=True)
+        for ax, lines, colors, letter in (
+            (axes[0], full, four, r"\alpha"),
+            (axes[1], part, three, r"\eta"),
         ):
-            axes[0].semilogy(
-                errors, color=color, label=f"$\\alpha = {alpha}$"
-            )
-        colors = (plots.RED, plots.GREEN, plots.BLUE)
-        for (share, errors), color in zip(
-            part.items(), colors, strict=True
-        ):
-            axes[1].semilogy(
-                errors, color=color, label=f"$\\eta = {share}$"
-            )
+            for (x, errors), color in zip(
+                lines.items(), colors, strict=True
+            ):
+                ax.semilogy(errors, color=color)
+                name = f"${letter} = {x}$"
+                _named(ax, len(errors) - 1, errors[-1], name, color)
+            ax.set(xlabel="round", xlim=(0, 17), xticks=(0, 5, 10))
         axes[0].set(ylabel=r"largest $|\log\pi - \log\pi^*|$")
-        axes[0].set_title("the best answer")
-        axes[1].set_title(r"a share of the way, $\alpha = 0.2$")
-        for ax in axes:
-            ax.set(xlabel="round")
-            ax.legend()
+        axes[0].set_title("full answers")
+        axes[1].set_title(r"a share $\eta$, with $\alpha = 0.2$")
         plt.show()
 
 
@@ -181,7 +205,7 @@ def tails(STORIES):
     """Draw how surprising old actions become, and return it."""
     tails = {}
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.3), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.2), sharey=True)
         for ax, (title, (story, color)) in zip(
             axes, STORIES.items(), strict=True
         ):
@@ -190,11 +214,13 @@ def tails(STORIES):
             for column, line, level in zip(
                 tails[title].T, ("-", "--", ":"), LEVELS, strict=True
             ):
-                label = f"{level:.0%}"
-                ax.plot(updates, column, line, color=color, label=label)
-            ax.set(xlabel="updates", title=title)
+                ax.plot(updates, column, line, color=color)
+                if ax is axes[0]:
+                    name = f"{level:.0%}"
+                    _named(ax, updates[-1], column[-1], name, color)
+            ax.set(xlabel="updates", title=title, xticks=(0, 1000, 2000))
+            ax.set_xlim(0, 2600 if ax is axes[0] else 2050)
             ax.set_yscale("symlog", linthresh=10)
-            ax.legend(loc="upper left")
         axes[0].set_ylabel(r"$-\log\ \pi$ of old actions")
         plt.show()
     return tails
@@ -227,30 +253,31 @@ def crossed(WORDS, counted):
 
 
 def isolate(FORMS, COLORS, final, last_q, shown, WORDS, arrived_of):
-    """Draw returns and values of the variants."""
-    GROUPS = [(form, n) for form in FORMS for n in (1, 2)]
+    """Draw scores and values of the variants."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 4.0), sharey=True)
-        rows = np.arange(10) + 0.6 * (np.arange(10) // 2)
-        for y, (form, n) in zip(rows, GROUPS, strict=True):
-            name = f"implementation-{n}{form}"
+        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 4.2), sharey=True)
+        for row, form in enumerate(FORMS):
+            for n, y in ((1, row - 0.2), (2, row + 0.2)):
+                name = f"implementation-{n}{form}"
+                color = COLORS[f"implementation-{n}"]
+                _dots(axes[0], y, _score(final[name], shown), color, 0.12)
+                _dots(axes[1], y, last_q(name), color, 0.12)
+            both = (f"implementation-{n}{form}" for n in (1, 2))
+            place = {"xycoords": ("axes fraction", "data")}
+            count = arrived_of(*both).replace(" of ", "/")
+            axes[1].annotate(count, (1.05, row), va="center", **place)
+        place = {"xycoords": "axes fraction", "va": "bottom"}
+        axes[1].annotate("arrive", (1.02, 1.02), **place)
+        _score_axis(axes[0])
+        rows = range(len(FORMS))
+        axes[0].set(yticks=rows, yticklabels=[WORDS[x] for x in FORMS])
+        axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
+        for n, y, name in ((1, -0.2, "$r(s, a)$"), (2, 0.2, "$r(s)$")):
             color = COLORS[f"implementation-{n}"]
-            _dots(axes[0], y, final[name], color, 0.25)
-            _dots(axes[1], y, last_q(name), color, 0.25)
-        axes[0].axvline(shown, color=plots.GREEN, ls="--", lw=1.2)
-        axes[0].axvline(-26.5, color=plots.GREY, ls=":", lw=1.2)
-        words = [f"{WORDS[form]}, {n}" for form, n in GROUPS]
-        axes[0].set(yticks=rows, yticklabels=words)
-        axes[0].set(ylim=(rows[-1] + 0.6, -0.6))
-        axes[0].set(xlim=(-68, -3), xlabel="true return at the end")
-        axes[0].set_xticks(range(-60, 0, 10))
+            axes[0].text(50, y, name, color=color, va="center", ha="center")
         axes[1].set(xscale="log", xlabel="|mean Q| at the end")
-        right = axes[1].secondary_yaxis("right")
-        counts = [arrived_of(f"implementation-{n}{x}") for x, n in GROUPS]
-        right.set_yticks(rows, counts)
-        right.tick_params(length=0)
-        right.spines["right"].set_visible(False)
-        right.set_ylabel("seeds that arrive")
+        axes[1].set_xticks([1, 1e3, 1e6])
+        axes[1].xaxis.set_minor_locator(NullLocator())
         plt.show()
 
 
@@ -283,14 +310,20 @@ def distances_to_truth(COLORS, labels, far, owner, means):
     tints = {name[-1]: tint for name, tint in COLORS.items()}
     tints |= {"released": plots.GREY, "DAC": COLORS["dac"]}
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.4, 3.2))
+        _fig, ax = plt.subplots(figsize=(6.2, 3.2))
         for i, name in enumerate(labels[1:], 1):
             _dots(ax, i, far[0, owner == i], tints[name])
             ax.plot(means[i, i], i, "D", mfc="none", mec="black", ms=7)
-        words = ["logit, r(s, a)", "logit, r(s)", "r(s, a)", "r(s)"]
-        words += ["log-ratio loss", "DAC"]
+        words = ["logit, $r(s, a)$ in $f$", "logit, $r(s)$ in $f$"]
+        words += ["$r(s, a)$", "$r(s)$", "$r(s)$, log-ratio loss"]
+        words += ["DAC's logit"]
         ax.set(yticks=range(1, 7), yticklabels=words, ylim=(6.5, 0.5))
+        for label, name in zip(
+            ax.get_yticklabels(), labels[1:], strict=True
+        ):
+            label.set_color(tints[name])
         ax.set(xlim=(0, 0.2), xlabel="EPIC distance to the true reward")
+        ax.set_xticks((0, 0.05, 0.1, 0.15, 0.2))
         plt.show()
 
 

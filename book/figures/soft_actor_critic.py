@@ -5,7 +5,7 @@ import numpy as np
 import torch
 
 import plots
-from drawing import diagram, film, table
+from drawing import bare, diagram, film, table
 from offairl_lite import tabular
 from offairl_lite.runs import records
 from paper_figures import PAPER
@@ -51,7 +51,8 @@ def soft_iteration(grid, values, iterates, errors):
             title = (
                 f"{k} improvement{'s' * (k != 1)}\nlargest error {error}"
             )
-            ax.set(title=title, ylabel="" if k else "y (m)")
+            ax.set_title(title)
+        bare(axes)
         bar = {"shrink": 0.75, "extend": "min"}
         fig.colorbar(image, ax=axes, label="soft value", **bar)
         plt.show()
@@ -66,10 +67,9 @@ def temperatures(solutions, grid):
             share = visits.sum(1) / visits.sum()
             image = plots.grid(ax, np.log10(share), "Left")
             image.set_clim(-4, -1)
-            ax.set(
-                title=f"α = {alpha}", ylabel="y (m)" if alpha == 1 else ""
-            )
-        fig.colorbar(image, ax=axes, shrink=0.75, label="log10 of share")
+            ax.set_title(f"α = {alpha}")
+        bare(axes)
+        fig.colorbar(image, ax=axes, shrink=0.75, label="log₁₀ of share")
         plt.show()
 
 

@@ -59,9 +59,9 @@ TOYS = {
     ),
     "game": Toy(
         ["mazes"],
-        "Play the game in rounds: with small steps it settles, with large "
-        "ones it swings. Then give label 1 to the policy: it flees from "
-        "the expert, although it begins next to it.",
+        "Guess: which steps settle, and which swing for ever? Play the "
+        "game. Then give label 1 to the policy: it flees from the "
+        "expert, although it begins next to it.",
         "A maze with the visits and the arrows of a policy, the same maze "
         "with the error of the reward, and below both errors as they fall "
         "from round to round.",

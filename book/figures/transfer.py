@@ -200,7 +200,7 @@ def way_back(moved, shown, carried, there):
     """Draw the returns of new policies, and their paths."""
     with plots.style():
         fig, axes = plt.subplots(
-            1, 2, figsize=(7.4, 3.3), width_ratios=(5, 4)
+            1, 2, figsize=(6.6, 3.1), width_ratios=(5, 4)
         )
         plots.curve(axes[0], moved.steps / 1_000, moved.returns, "")
         plots.level(axes[0], shown, "demonstrations", plots.GREEN)
@@ -269,18 +269,28 @@ def count(arrives, runs):
     return counts
 
 
+def _seeds(count, of):
+    """Return dots in rows of five, filled for runs that arrive."""
+    dots = "●" * count + "○" * (of - count)
+    rows = "<br>".join(dots[i : i + 5] for i in range(0, of, 5))
+    return (
+        f'<span role="img" aria-label="{count} of {of}" '
+        f'style="white-space: nowrap; line-height: 1.1">{rows}</span>'
+    )
+
+
 def starts_and_helps(counts):
     """Return the table of how many seeds arrive."""
     lines = []
-    for size_of, label in (
-        (SMALL, "small networks: arrivals out of 5"),
-        (LARGE, "the paper’s networks: arrivals out of 10"),
+    for size_of, label, of in (
+        (SMALL, "small networks, five seeds", 5),
+        (LARGE, "the paper’s networks, ten seeds", 10),
     ):
         lines.append((f"<b>{label}</b>", *[""] * len(ARMS)))
         for end_of, row in counts[size_of].items():
             if any(row):
-                row = [count or "–" for count in row]
-                lines.append((HELPS[end_of], *row))
+                dots = [_seeds(int(n), of) if n else "–" for n in row]
+                lines.append((HELPS[end_of], *dots))
     starts = ("scratch", "old<br>policy", "gate and<br>primitives")
     return table(["warm-up", *starts, "gate<br>alone"], lines)
 
@@ -318,13 +328,22 @@ def where_rewards_lead(found, blamed, backwards):
         if name in blamed and good < 10:
             bad = f"{sum(blamed[name][:2])} of {10 - good}"
         lines.append(
-            (NAMED.get(name, name), str(good), bad, str(fresh_ones))
+            (
+                NAMED.get(name, name),
+                _seeds(good, 10),
+                bad,
+                _seeds(fresh_ones, 10),
+            )
         )
     there_too = [int((backwards[begin] > BAR).sum()) for begin in BEGINS]
-    ways = str(sum(there_too[:2])), "", str(sum(there_too[2:]))
+    ways = (
+        _seeds(sum(there_too[:2]), 10),
+        "",
+        _seeds(sum(there_too[2:]), 10),
+    )
     lines.insert(1, ("the same, right to left", *ways))
-    head = ["held:<br>of 10 arrive", "failures the<br>reward prefers"]
-    return table(["reward", *head, "fresh:<br>of 10 arrive"], lines)
+    head = ["held<br>warm-up", "failures the<br>reward prefers"]
+    return table(["reward", *head, "fresh<br>warm-up"], lines)
 
 
 def preferred_actions(rewards):

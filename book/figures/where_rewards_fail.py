@@ -236,7 +236,7 @@ def what_each_sees():
 def ants(ends, of_experts):
     """Draw the returns of ants with two weak legs."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(7.4, 4))
+        _fig, ax = plt.subplots(figsize=(6.4, 3.8))
         for i, (name, end) in enumerate(ends.items()):
             color = plots.BLUE if "velocity" in name else plots.RED
             color = plots.GREY if "true" in name else color
@@ -244,8 +244,16 @@ def ants(ends, of_experts):
             ax.plot(end, rows, "o", color=color, ms=9, mec="white")
         ax.axvline(0, color="black", lw=0.8)
         for value in of_experts:
-            ax.axvline(value, color="black", lw=1.2, ls="--")
-        ax.set_yticks(range(len(ends)), ends)
+            ax.axvline(value, color=plots.GREEN, lw=1.2, ls="--")
+        ax.annotate(
+            "experts",
+            (np.mean(of_experts), 1.02),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            color=plots.GREEN,
+        )
+        names = [name.replace(", centred", "") for name in ends]
+        ax.set_yticks(range(len(ends)), names)
         ax.set(
             xlabel="true return on DisabledAnt",
             ylim=(len(ends) - 0.5, -0.5),
