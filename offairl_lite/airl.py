@@ -92,8 +92,15 @@ class AIRL:
             folders.log.warning(note)
         self._place(folder)
 
+    def __fspath__(self) -> str:
+        """Return the run's folder, so that a model can be a frozen or a pretrained reward."""
+        return str(self.folder)
+
     def _place(self, folder: Path_ | None) -> None:
         """Choose where the run is kept; a temporary folder goes with the object."""
+        if folder is not None and (Path(folder) / "config.json").is_file():
+            cure = "go on with a copy, AIRL.load(PATH).learn(10_000), or choose another folder"
+            raise FileExistsError(f"{folder} has a run already: {cure}")
         self.folder = Path(folder or mkdtemp(prefix="airl-"))
         if folder is None:
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
