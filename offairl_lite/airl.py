@@ -1,6 +1,7 @@
 """`AIRL`: imitate demonstrations of a task, and learn their reward."""
 
 import shutil
+import warnings
 import weakref
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -70,6 +71,8 @@ class AIRL:
         for name in {"total_steps", "total_timesteps"} & options.keys():
             raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
         names = known | flat_settings().keys() | EARLIER.keys() | {"seeds", "folder"}
+        for name in options.keys() & EARLIER.keys():
+            warnings.warn(f"{name} is called {EARLIER[name]}", FutureWarning, stacklevel=2)
         for name in options.keys() - names:
             near = get_close_matches(name, names, 1) or ["one of `offairl run imitate --help`"]
             raise TypeError(f"AIRL has no option {name!r}; did you mean {near[0]}?")
