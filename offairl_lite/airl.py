@@ -1,6 +1,7 @@
 """`AIRL`: imitate demonstrations of a task, and learn their reward."""
 
 import shutil
+import warnings
 import weakref
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -70,6 +71,8 @@ class AIRL:
         for name in {"total_steps", "total_timesteps"} & options.keys():
             raise TypeError(f"{name} are for `learn`: AIRL(...).learn({options[name]})")
         names = known | flat_settings().keys() | EARLIER.keys() | {"seeds", "folder"}
+        for name in options.keys() & EARLIER.keys():
+            warnings.warn(f"{name} is called {EARLIER[name]}", FutureWarning, stacklevel=2)
         for name in options.keys() - names:
             near = get_close_matches(name, names, 1) or ["one of `offairl run imitate --help`"]
             raise TypeError(f"AIRL has no option {name!r}; did you mean {near[0]}?")
@@ -92,8 +95,15 @@ class AIRL:
             folders.log.warning(note)
         self._place(folder)
 
+    def __fspath__(self) -> str:
+        """Return the run's folder, so that a model can be a frozen or a pretrained reward."""
+        return str(self.folder)
+
     def _place(self, folder: Path_ | None) -> None:
         """Choose where the run is kept; a temporary folder goes with the object."""
+        if folder is not None and (Path(folder) / "config.json").is_file():
+            cure = "go on with a copy, AIRL.load(PATH).learn(10_000), or choose another folder"
+            raise FileExistsError(f"{folder} has a run already: {cure}")
         self.folder = Path(folder or mkdtemp(prefix="airl-"))
         if folder is None:
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)

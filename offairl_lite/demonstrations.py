@@ -127,9 +127,10 @@ def expert_file(env_id: str) -> Path:
         files = sorted(EXPERTS.glob("*.safetensors"))
         have = ", ".join(Policy.load(file).env_id for file in files) or "none yet"
         raise FileNotFoundError(
-            f"no expert is shipped for {env_id} (there are: {have}); pass the id of a Minari data "
-            "set of your own, or train an expert with reward='environment' and have `offairl demos "
-            f"{env_id} --policy RUN --dataset own/expert-v0` make one"
+            f"no expert is shipped for {env_id} (there are: {have}); give episodes, flat arrays, a "
+            "policy, or the id of a Minari data set of your own, or train an expert with "
+            f"reward='environment' and have `offairl demos {env_id} --policy RUN --dataset "
+            "own/expert-v0` make one"
         )
     return path
 
@@ -201,10 +202,11 @@ def of(
     """Return demonstrations of a task, in whatever form they are given.
 
     Args:
-        source: a list of episodes, each a `Recording`, its parts (obs, action, terminated), or a
-            `Trajectory` of imitation; flat arrays, or their .npz file, for `from_flat`; a Minari
-            data set's name; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a
-            function, or a model with `predict`; None for the shipped experts; or `Demonstrations`.
+        source: a list of episodes, each a `Recording`, its parts (obs, action, terminated), named
+            arrays, or a `Trajectory` of imitation; flat arrays, or their .npz file, for
+            `from_flat`; a Minari data set's name; somebody who acts, whom `record` asks for 50
+            episodes: a `Policy`, a function, or a model with `predict`; None for the shipped
+            experts; or `Demonstrations`.
         env_id: the task.
         trajectories: the first so many; by default all that are there.
         subsample: as of `load`.
@@ -232,7 +234,8 @@ def of(
             f"demonstrations are {source!r}; expected a list of episodes, each a Recording or "
             "(obs, action), flat arrays by their names, a Minari data set's name, or a policy"
         )
-    parts = [recording_of(i, one) for i, one in enumerate(source)]
+    limit = envs.spec(env_id).max_episode_steps
+    parts = [recording_of(i, one, limit) for i, one in enumerate(source)]
     data = Demonstrations(env_id, *minari_storage.transitions_of(parts[:trajectories], env_id))
     return data if subsample == 1 else data.subsample(subsample)
 

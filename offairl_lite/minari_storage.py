@@ -99,6 +99,12 @@ def _episodes(recordings: Sequence[Recording], env_id: str) -> list[EpisodeBuffe
         episodes.append(_within_bounds(episode, where, seen, units, env_id))
         clipped.append(episodes[-1].actions - episode.actions)
     _say_what_is_clipped(clipped, env_id)
+    limit, longest = envs.spec(env_id).max_episode_steps, max(len(e.actions) for e in episodes)
+    if limit and longest > limit:
+        log.warning(
+            f"{env_id}: an episode has {longest} steps, and the task's time limit is {limit}. If "
+            "several were joined into one, mark their ends: truncated, timeouts or episode_starts"
+        )
     return episodes
 
 
@@ -285,6 +291,8 @@ def _check(episode: minari.EpisodeData | EpisodeBuffer, where: str, seen: Box, u
             expect(False, f"{part} of shape {shape}, as the task has", f"a dictionary of {names}")
         actual = getattr(array, "shape", type(array).__name__)
         rule = "; T actions go with T + 1 observations" * (part == "observations")
+        if rule and actual == (steps, *seen.shape):
+            rule += ": if the last was not kept, leave out the last action (and reward)"
         expect(actual == shape, f"{part} of shape {shape}", f"{actual}{rule}")
         expect(array.dtype.kind in "biuf", f"{part} that are numbers", array.dtype)
         bad = np.argwhere(faulty(array))

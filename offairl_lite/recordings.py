@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from tqdm.auto import tqdm
 
 from offairl_lite import envs, minari_storage
-from offairl_lite.core.rollouts import LONGEST, require_end
+from offairl_lite.core.rollouts import LONGEST, require_end, require_sound
 from offairl_lite.envs.serial import as_reward
 from offairl_lite.minari_storage import Recording
 
@@ -38,8 +38,9 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     `timeouts`, and `terminated` or `terminals`, which alone tell an end for good. `obs`, `actions`
     and `rewards` have one row a step, as in files of Stable-Baselines, which lack the last
     observation of an episode: its last action, of which nobody knows where it led, is then left
-    out, and with it a termination, of which the log speaks. With `next_obs` nothing is. Of a task
-    whose observations are dictionaries, `obs` is a dictionary of such arrays.
+    out, and with it a termination, of which the log speaks. With `next_obs` nothing is, and an
+    episode also ends where the next row begins elsewhere. Of a task whose observations are
+    dictionaries, `obs` is a dictionary of such arrays.
 
     Raises:
         ValueError: an array is missing or of another length, or all episodes have one step.
@@ -54,15 +55,27 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
             f"flat arrays: {wrong} rows, and {steps} actions; expected as many of each"
         )
     marks = [
-        np.asarray(arrays[n], bool) for p in ("terminated", "ends") for n in NAMES[p] if n in arrays
+        np.ravel(arrays[n]) != 0 for p in ("terminated", "ends") for n in NAMES[p] if n in arrays
     ]
+    starts = np.arange(steps) == 0
     if "starts" in rows:
-        starts = rows["starts"].astype(bool)
+        starts |= rows["starts"].astype(bool)
     elif marks:
-        starts = np.append(True, np.any(marks, 0)[:-1])
-    else:
-        raise ValueError(f"flat arrays {available}; expected episode_starts or dones among them")
-    bounds = [*np.flatnonzero(starts | (np.arange(steps) == 0)), steps]
+        starts[1:] |= np.any(marks, 0)[:-1]
+    elif "next_obs" not in rows:
+        raise ValueError(
+            f"flat arrays {available}; expected episode_starts or dones among them. Of one episode "
+            "give episode_starts=np.arange(len(actions)) == 0"
+        )
+    if "next_obs" in rows and rows["obs"].dtype != object:
+        led = np.isclose(rows["next_obs"][:-1], rows["obs"][1:], 1e-4, 1e-4)
+        jumps = ~led.reshape(steps - 1, -1).all(1) & ~starts[1:]
+        starts[1:] |= jumps
+        if jumps.any():
+            log.warning(f"{jumps.sum()} rows do not begin where next_obs led: episodes end there")
+        if "terminated" not in rows and "dones" in arrays:
+            log.warning("dones may be time limits: no episode terminates unless terminated says so")
+    bounds = [*np.flatnonzero(starts), steps]
     recordings, dropped = [], 0
     for begin, end in pairwise(bounds):
         obs = rows["obs"][begin:end]
@@ -94,10 +107,14 @@ def _rows(array: Any) -> np.ndarray:
     return np.array([dict(zip(array, row, strict=True)) for row in zip(*columns, strict=True)])
 
 
-def recording_of(i: int, parts: Any) -> Recording:
-    """Return an episode that is one, a tuple, a dictionary, or as imitation has it."""
+def recording_of(i: int, parts: Any, limit: int | None) -> Recording:
+    """Return an episode that is one, a tuple, named arrays, or as imitation has it.
+
+    Imitation's `terminal` is true at the task's time `limit` as well.
+    """
     if hasattr(parts, "acts"):
-        return Recording(parts.obs, parts.acts, bool(parts.terminal), getattr(parts, "rews", None))
+        ended = bool(parts.terminal) and len(parts.acts) != limit
+        return Recording(parts.obs, parts.acts, ended, getattr(parts, "rews", None))
     if isinstance(parts, np.ndarray):
         raise ValueError(
             f"recording {i} is an array of shape {parts.shape}; expected a list of episodes, each "
@@ -105,10 +122,23 @@ def recording_of(i: int, parts: Any) -> Recording:
             "dones=...)"
         )
     try:
-        return Recording(**parts) if isinstance(parts, Mapping) else Recording(*parts)
+        return _named(parts) if isinstance(parts, Mapping) else Recording(*parts)
     except TypeError as error:
         why = f"expected a Recording, or its parts {Recording._fields}"
         raise ValueError(f"recording {i} is a {type(parts).__name__}; {why}: {error}") from error
+
+
+def _named(arrays: Mapping[str, Any]) -> Recording:
+    """Return an episode whose arrays have any of `NAMES`; see `from_flat` if it lacks an end."""
+    part = {part: arrays[n] for part, names in NAMES.items() for n in names if n in arrays}
+    if not {"obs", "action"} <= part.keys():
+        raise TypeError(f"it has {sorted(arrays)}; expected obs and actions among them")
+    ended, steps = bool(np.any(part.get("terminated", False))), len(part["action"])
+    if len(_rows(part["obs"])) != steps:
+        return Recording(part["obs"], part["action"], ended, part.get("reward"))
+    last = np.arange(steps) == steps - 1
+    kept = {n: part[n] for n in ("obs", "action", "next_obs", "reward") if n in part}
+    return from_flat(kept | {"terminated": last & ended, "truncated": last})[0]
 
 
 def played(
@@ -126,8 +156,11 @@ def played(
             terminated = truncated = False
             while not (terminated or truncated):
                 require_end(env_id, len(actions), LONGEST)
+                where = f"episode {i}, step {len(actions)}"
+                seen = np.array(envs.flatten(env_id, obs[-1]))
+                require_sound(env_id, where, [seed], observation=seen[None])
                 action = act(deepcopy(obs[-1]))
-                _require_action(action, units, f"episode {i}, step {len(actions)}")
+                _require_action(action, units, where)
                 actions.append(np.array(action, units.dtype))
                 seen, reward, terminated, truncated, _ = env.step(actions[-1].copy())
                 obs.append(deepcopy(seen))

@@ -176,6 +176,19 @@ def test_an_environment_is_given_again(tmp_path):
     same(AIRL.load(tmp_path / "arm", arm).learn(10, progress=False), model_of(40))
 
 
+def test_a_model_is_a_reward_for_others_and_its_folder_is_no_other_s(task, tmp_path):
+    model = small(task, folder=tmp_path / "arm").learn(30, progress=False)
+    options = {n: x for n, x in SMALL.items() if n not in ("reward_hidden", "shaping_hidden")}
+    again = AIRL(arm(mass=2.0), reward="frozen", frozen_reward=model, seeds=2, **options)
+    assert torch.equal(again.inherited["frozen_reward"].params, model.run.reward.params)
+    paid = [LearnedReward(arm(), x, member=0) for x in (model, model.run.reward)]
+    for env in paid:
+        env.reset(seed=0)
+    assert paid[0].step(np.zeros(2))[1] == paid[1].step(np.zeros(2))[1]
+    with pytest.raises(FileExistsError, match=r"has a run already: go on with a copy, AIRL\.load"):
+        small(task, folder=tmp_path / "arm", temperature=0.5)
+
+
 def model_of(steps):
     model = small(arm())
     return model.learn(30, progress=False).learn(steps - 30, progress=False)

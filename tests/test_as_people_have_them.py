@@ -1,5 +1,7 @@
 """Tasks and data as people have them: what goes wrong says why, and what to do."""
 
+from types import SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -72,6 +74,8 @@ def test_an_exception_without_words_tells_where_it_is_from_and_with_which_versio
         ({"actions": gymnasium.spaces.Discrete(2)}, "offairl_lite.envs.OneHotActions"),
         ({"actions": BOX(-np.inf, np.inf, (2,))}, "no bounds.*TransformAction"),
         ({"observations": BOX(-1, 1, (2, 2))}, "see gymnasium.wrappers.FlattenObservation"),
+        ({"actions": gymnasium.spaces.MultiDiscrete([2, 3])}, "gymnasium.wrappers.TransformAction"),
+        ({"actions": BOX(-1, 1, (2, 2))}, "gymnasium.wrappers.TransformAction"),
     ],
 )
 def test_a_space_that_will_not_do_names_the_wrapper(spaces, words, own):
@@ -147,7 +151,7 @@ def test_a_task_without_an_end_is_told_before_the_first_step(own):
     try:
         Endless.steps = 0
         with pytest.raises(
-            ValueError, match="has not ended after 20,000 steps: give the task a time"
+            ValueError, match=r"has not ended after 20,000 steps: give the task a time.*TimeLimit\("
         ):
             preflight.try_out("ownbot/Endless-v0", 0)
         assert Endless.steps <= LONGEST + 2  # One episode, not ten of each seed.
@@ -236,6 +240,7 @@ FLAT_OBS = np.arange(14, dtype=np.float32).reshape(7, 2) / 10
 FLAT = {"obs": FLAT_OBS, "actions": np.full((7, 2), 0.5), "rewards": np.arange(7.0)}
 STARTS = np.array([1, 0, 0, 1, 0, 0, 0], bool)
 ENDS = np.array([0, 0, 1, 0, 0, 0, 1], bool)
+NEXT = np.where(ENDS[:, None], FLAT_OBS + 1, np.roll(FLAT_OBS, -1, 0))
 
 
 @pytest.mark.parametrize(
@@ -253,12 +258,78 @@ def test_flat_arrays_lose_the_last_action_of_each_episode(marks, caplog):
 
 
 def test_flat_arrays_with_next_observations_lose_nothing():
-    marks = {"terminals": ENDS & STARTS[::-1], "timeouts": ENDS, "next_observations": FLAT_OBS + 1}
-    marks["terminals"] = np.array([0, 0, 1, 0, 0, 0, 0], bool)
-    first, second = demonstrations.from_flat({**FLAT, **marks})
+    marks = {"terminals": np.array([0, 0, 1, 0, 0, 0, 0], bool), "timeouts": ENDS}
+    first, second = demonstrations.from_flat({**FLAT, **marks, "next_observations": NEXT})
     np.testing.assert_array_equal(first.obs, [*FLAT_OBS[:3], FLAT_OBS[2] + 1])
     np.testing.assert_array_equal(second.obs[-1], FLAT_OBS[6] + 1)
     assert (first.terminated, second.terminated) == (True, False)
+
+
+@pytest.mark.parametrize("marks", [{}, {"terminals": ENDS & False}, {"terminals": ENDS[:, None]}])
+def test_an_episode_ends_where_the_next_row_begins_elsewhere(marks, caplog):
+    """As in files of D4RL without `timeouts`: nothing leads from one episode into the next."""
+    recordings = demonstrations.from_flat({**FLAT, **marks, "next_obs": NEXT})
+    led = np.concatenate([recording.obs[1:] for recording in recordings])
+    np.testing.assert_array_equal(led, NEXT)
+    assert [len(recording.action) for recording in recordings] == [3, 4]
+    assert ("1 rows do not begin where next_obs led" in caplog.text) == (
+        not np.any(marks.get("terminals", False))
+    )
+
+
+def test_dones_with_next_observations_say_that_nothing_terminates(caplog):
+    recordings = demonstrations.from_flat({**FLAT, "dones": ENDS, "next_obs": NEXT})
+    assert not any(recording.terminated for recording in recordings)
+    assert "dones may be time limits" in caplog.text
+
+
+def test_an_episode_may_have_names_of_other_libraries(own):
+    """A list of rllab's paths, say, with or without the last observation."""
+    own(ARM)
+    obs, actions = np.arange(12.0).reshape(6, 2) / 20, np.full((5, 2), 0.5)
+    whole = {"observations": obs, "actions": actions, "rewards": np.ones(5), "infos": None}
+    row = {**whole, "observations": obs[:-1], "terminals": np.arange(5) == 4}
+    led = {**row, "next_observations": obs[1:]}
+    data = demonstrations.of([whole, row, led], ARM)
+    assert data.lengths == (5, 4, 5)
+    np.testing.assert_allclose(data.transitions.next_obs[-1], obs[-1], rtol=1e-6)
+    assert data.transitions.terminated.nonzero().flatten().tolist() == [13]
+    with pytest.raises(ValueError, match=r"has \['acts', 'states'\]; expected obs and actions"):
+        demonstrations.of([{"states": obs, "acts": actions}], ARM)
+
+
+def test_imitation_s_terminal_at_the_time_limit_is_no_end(own):
+    own(ARM)  # Its limit is five steps.
+    paths = [
+        SimpleNamespace(obs=np.zeros((n + 1, 2)), acts=np.zeros((n, 2)), terminal=True)
+        for n in (5, 4)
+    ]
+    ends = demonstrations.of(paths, ARM).transitions.terminated
+    assert ends.nonzero().flatten().tolist() == [8]
+
+
+def test_episodes_that_were_joined_are_noticed(own, caplog):
+    own(ARM)
+    demonstrations.of([Recording(np.zeros((8, 2)), np.zeros((7, 2)))], ARM)
+    assert "an episode has 7 steps, and the task's time limit is 5" in caplog.text
+
+
+def test_a_lacking_last_observation_says_what_to_leave_out(own):
+    own(ARM)
+    with pytest.raises(ValueError, match="leave out the last action"):
+        demonstrations.of([Recording(np.zeros((5, 2)), np.zeros((5, 2)))], ARM)
+
+
+@pytest.mark.filterwarnings("ignore:.*The obs returned")
+def test_a_faulty_observation_is_not_blamed_on_whoever_acts(own):
+    class Broken(Arm):
+        def step(self, action):
+            obs, *rest = super().step(action)
+            return obs * np.nan, *rest
+
+    own(ARM, Broken)
+    with pytest.raises(ValueError, match=r"at fault in episode 0, step 1: its observation\[0\]"):
+        demonstrations.record(lambda obs: obs * 0, ARM, 1)
 
 
 def test_an_end_that_flat_arrays_cannot_show_is_told(caplog):

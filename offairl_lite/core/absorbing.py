@@ -31,7 +31,8 @@ def fit(obs: Float[Tensor, "*batch O"], size: int, whose: str) -> Tensor:
     """Return a task's observations in the `size` that `whose` name sees, O or O + 1."""
     width = obs.shape[-1]
     if size not in (width, width + 1):
-        raise ValueError(f"{whose} sees {size} numbers, and the task gives {width}")
+        sees = f"{size} numbers, or {size - 1} if the last tells of an absorbing state"
+        raise ValueError(f"{whose} sees {sees}; it was given {width}")
     return obs if width == size else extend(obs)
 
 

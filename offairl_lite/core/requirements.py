@@ -91,9 +91,12 @@ def require_match(
             )
     actor = make_actor(config.learner, *dims)
     if policy is not None and policy.actor != actor:
+        knows = policy.actor.obs_dim + 1 == obs_dim
         raise ValueError(
             f"the pretrained policy is a {policy.actor}, and the actor of this run a {actor}: "
             "make the configurations the same"
+            + ", and clone with absorbing_state=True, if it is a clone"
+            * knows
         )
     if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != dims:
         raise ValueError(

@@ -92,7 +92,8 @@ def require_end(env_id: str, steps: int, limit: int) -> None:
     if steps == limit:
         raise ValueError(
             f"an episode of {env_id} has not ended after {limit:,} steps: give the task a time "
-            "limit, gymnasium.register(..., max_episode_steps=1000)"
+            "limit, gymnasium.register(..., max_episode_steps=1000), or wrap it, "
+            "gymnasium.wrappers.TimeLimit(env, 1000)"
         )
 
 

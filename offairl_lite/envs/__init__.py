@@ -147,6 +147,8 @@ def require_boxes(env_id: str, observation_space: Space, action_space: Space) ->
     for name, space in (("observation", observation_space), ("action", action_space)):
         if not isinstance(space, Box) or len(space.shape) != 1 or 0 in space.shape:
             cure = "see gymnasium.wrappers.FlattenObservation"
+            if name == "action":
+                cure = "gymnasium.wrappers.TransformAction makes such actions of a Box's numbers"
             if isinstance(space, Discrete) and name == "action":
                 cure = "offairl_lite.envs.OneHotActions chooses the action whose number is largest"
             raise ValueError(

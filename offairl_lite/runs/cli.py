@@ -296,6 +296,16 @@ def bench(options: Annotated[Options, OmitArgPrefixes], *, json: bool = False) -
     print(dumps(report, indent=2) if json else table(report))
 
 
+REMOVED = {
+    "sweep": "run NAME --grid SETTING=VALUE,VALUE",
+    "--generator": "--learner",
+    "--carry": "--pretrained",
+    "--no-policy-in-logit": "--loss log-ratio",
+    "--replay-density": "--loss airl-mixture",
+}
+"""What was in earlier versions, and what to write instead."""
+
+
 def in_current_words(args: Sequence[str]) -> list[str]:
     """Return arguments with earlier names and other spellings of settings replaced.
 
@@ -319,8 +329,14 @@ def main(args: Sequence[str] | None = None) -> None:
     """
     # A task of one's own may be in a module of the working directory (`python -m` looks there).
     sys.path.append(str(Path.cwd()))
-    args = in_current_words(sys.argv[1:] if args is None else args)
+    given = sys.argv[1:] if args is None else args
+    args = in_current_words(given)
     with messages.one_line():
+        for old in {*args[:1], *(arg for arg in args if arg.startswith("--"))} & REMOVED.keys():
+            raise ValueError(f"{old} is of an earlier version: write {REMOVED[old]}")
+        for old, new in EARLIER.items():
+            if f"--{old}".replace("_", "-") in (arg.split("=")[0] for arg in given):
+                messages.note(f"{old}=... is {new}=... now; the earlier name will go")
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]

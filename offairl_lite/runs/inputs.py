@@ -94,7 +94,7 @@ def load_one(path: Any, kind: Any, step: int | None = None) -> Any:
         raise FileNotFoundError(
             f"{path} has no {file_name(kind)}, which is written at the end of a run: "
             f"{again(path, RunSpec.read(run_folders(path)[0]))} goes on to it (not every record "
-            "keeps its own)"
+            "keeps its own)" + "".join(f"; or take step={row.step}" for row in run.rows[-1:])
         )
     if run.diverged:
         failed = f"{path} has seeds that diverged, {run.diverged}"
