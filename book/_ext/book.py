@@ -24,7 +24,7 @@ UNWANTED = re.compile(
 # would lose its order, so it keeps its colours, dimmed, and only what is
 # around it turns light: titles, numbers and walls.
 DARK = "@media screen and (prefers-color-scheme: dark) {{ {} }}"
-TURNED = "filter: invert(0.91) hue-rotate(180deg)"
+TURNED = "filter: invert(0.91) hue-rotate(180deg) brightness(1.2)"
 NO_PAPER = "#patch_1 path { fill: none !important }"
 INVERTED = f"svg {{ {TURNED} }} {NO_PAPER}"
 MAP = "[id^=axes_]:has(image)"
@@ -59,6 +59,15 @@ def draw_for_dark_pages(app, exception):
         text = path.read_text(encoding="utf-8")
         if "(prefers-color-scheme: dark)" not in text:
             path.write_text(for_dark_pages(text), encoding="utf-8")
+
+
+def tell_boxes_apart(app, doctree):
+    """Give questions to the reader a colour, and proofs a quiet one."""
+    looks = {"Predict": "question-to-you", "Proof": "quiet"}
+    for box in doctree.findall(nodes.admonition):
+        first = box[0].astext().split(" ")[0]
+        if first in looks:
+            box["classes"].append(looks[first])
 
 
 def make_offline(app, exception):
@@ -105,5 +114,6 @@ def setup(app):
     # Before the theme reads its options, which it does at this event.
     app.connect("config-inited", need_an_address, priority=100)
     app.connect("build-finished", make_offline)
+    app.connect("doctree-read", tell_boxes_apart)
     app.connect("build-finished", draw_for_dark_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import log_softmax
 
+import plots
 from drawing import EDGE, bare, diagram, film, number, percent, table
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration
@@ -203,7 +203,7 @@ def game(games):
         for x, y, text, color in (
             (30, 1.1, "η = 1", colors[0]),
             (30, 0.06, "0.5", colors[1]),
-            (23, 1e-4, "0.2", colors[2]),
+            (14, 1e-4, "0.2", colors[2]),
             (43, 1.2e-3, "0.1", colors[3]),
         ):
             axes[0].text(x, y, text, color=color)

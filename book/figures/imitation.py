@@ -9,9 +9,9 @@ import torch
 from matplotlib.colors import LinearSegmentedColormap
 from torch import Generator, nn
 
+import plots
 from drawing import diagram, film, percent, table
 from offairl_lite import envs
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL
 from offairl_lite.plain import (
@@ -276,7 +276,7 @@ def distances(far, moved, REWARDS):
     """Return the table of distances from the experts."""
     return table(
         [
-            "distance",
+            "distance after the game",
             "A, from random",
             "A, from perfect",
             "B, from random",
@@ -286,7 +286,7 @@ def distances(far, moved, REWARDS):
             (
                 _formula(name),
                 *(
-                    f"{x[who, name]:.3f}"
+                    f"{100 * x[who, name]:.0f}\u00a0%"
                     for who in "AB"
                     for x in (far, moved)
                 ),
@@ -362,8 +362,8 @@ def dac_training(NUM_ROUNDS, history, extent):
     """Draw paths and verdicts during the training."""
     shown = [0, 4, 9, NUM_ROUNDS - 1]
     with plots.style():
-        fig, axes = plt.subplots(1, 4, figsize=(8.4, 2.9))
-        for ax, k in zip(axes, shown, strict=True):
+        fig, axes = plt.subplots(2, 2, figsize=(6.8, 6.2))
+        for ax, k in zip(axes.flat, shown, strict=True):
             path, verdict = history[k]
             look = {"cmap": VERDICT, "vmin": 0, "vmax": 1, "zorder": 1}
             image = ax.imshow(
@@ -375,7 +375,7 @@ def dac_training(NUM_ROUNDS, history, extent):
             ax.plot(*xy, color="black", lw=1.8, zorder=5)
             ax.axis("off")
             reached = percent(path.reward.sum().item())
-            ax.set_title(f"{100 * (k + 1):,} updates:\n{reached}")
+            ax.set_title(f"{100 * (k + 1):,} updates: {reached}")
         bar = fig.colorbar(image, ax=axes, shrink=0.65, label="D")
         bar.set_ticks([0, 0.5, 1], labels=["0", "½", "1"])
         plt.show()
