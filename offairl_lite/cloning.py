@@ -1,7 +1,4 @@
-"""Behavioural cloning: policies that repeat demonstrated actions (Pomerleau 1991).
-
-It takes no step of the task, and needs what the other methods do without: recorded actions.
-"""
+"""Behavioural cloning (Pomerleau 1991): it needs actions, and takes no step of the task."""
 
 from collections.abc import Sequence
 
@@ -19,15 +16,13 @@ from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, Params, PerMember
 from offairl_lite.demonstrations import Demonstrations
 
-CHECK_EVERY = 100
-"""Minibatches between two looks at the transitions that are held out."""
+CHECK_EVERY = 100  #: Minibatches between two looks at the transitions that are held out.
 
 
 def cloning_loss(mean: Action, pre_tanh: Action) -> PerMember:
     """Return E ‖tanh μ(s) - a‖², where a = tanh(u) was demonstrated: what the mode is off by.
 
-    There is no likelihood in it. With one, log σ(s) takes the network's layers from the mode, and
-    actions near ±1, whose u is large, decide what is learned.
+    With a likelihood σ(s) would take layers from the mode, and actions near ±1 would decide.
     """
     return (torch.tanh(mean) - torch.tanh(pre_tanh)).square().sum(-1).mean(-1)
 
@@ -43,10 +38,7 @@ def set_noise(actor: SquashedGaussian, params: Params, noise: Action) -> None:
 
 
 def held_out(lengths: Sequence[int]) -> Bool[Tensor, "N"]:
-    """Tell which transitions say when to stop: of every episode a tenth, in one piece.
-
-    A piece, since a transition whose neighbours are learned from is not new to the clone.
-    """
+    """Tell which transitions say when to stop: a tenth of every episode, in one piece, all new."""
     marks = []
     for i, length in enumerate(lengths):
         mark, size = np.zeros(length, bool), length // 10

@@ -72,10 +72,8 @@ class Demonstrations:
     def subsample(self, every: int) -> "Demonstrations":
         """Return every k-th transition of each trajectory, from a random one of the first k on.
 
-        Ho and Ermon (2016) thin demonstrations in this way, and DAC after them. Each is returned k
-        times, since it stands for k. A termination is always kept, as the only sign of how an
-        episode ends, and once, since it stands for itself: DAC's code divides the weight of its
-        absorbing transitions by k for the same reason.
+        Each is returned k times, since it stands for k (Ho and Ermon 2016); a termination is always
+        kept, once, since it stands for itself, as in DAC's code.
         """
         checked("every", every, Count)
         kept_rows = []
@@ -150,12 +148,16 @@ def load(
 ) -> Demonstrations:
     """Return demonstrations of a task from Minari's local storage.
 
-    Of a data set of your own, `dataset_id`, there are all trajectories, or the first so many.
-    Without one the shipped experts demonstrate, 50 times by default: all of them, the first few, or
-    the `best`, whose mode returns most. The actions of 50 episodes of each are shipped, and played
-    again on first use; where they lead elsewhere the log says so, and the experts act anew. A
-    trajectory is always the same, however many are asked for. With a `subsample` of k there is
-    every k-th transition of each, k times (`Demonstrations.subsample`).
+    The shipped experts' actions, of 50 episodes each, are played again on first use; where they
+    lead elsewhere the log says so, and the experts act anew. A trajectory is always the same,
+    however many are asked for.
+
+    Args:
+        env_id: the task.
+        trajectories: the first so many; by default all of a data set, and 50 of the experts.
+        dataset_id: a data set of your own; by default the shipped experts demonstrate.
+        subsample: k, for every k-th transition, k times (`Demonstrations.subsample`).
+        experts: the first few, or the `best`, whose mode returns most; by default all.
 
     Raises:
         FileNotFoundError: there is no such data set, or no expert to make it.
@@ -198,12 +200,18 @@ def of(
 ) -> Demonstrations:
     """Return demonstrations of a task, in whatever form they are given.
 
-    `source` is a list of episodes, each a `Recording`, its parts (obs, action, terminated), or a
-    `Trajectory` of imitation; flat arrays, or their .npz file, for `from_flat`; a Minari data set's
-    name; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a function, or a model
-    with `predict`; None for the shipped `experts`; or `Demonstrations`, which are returned as they
-    are. Of episodes that are there already all are taken, or the first `trajectories`. ValueError
-    says what is wrong, and with which recording.
+    Args:
+        source: a list of episodes, each a `Recording`, its parts (obs, action, terminated), or a
+            `Trajectory` of imitation; flat arrays, or their .npz file, for `from_flat`; a Minari
+            data set's name; somebody who acts, whom `record` asks for 50 episodes: a `Policy`, a
+            function, or a model with `predict`; None for the shipped experts; or `Demonstrations`.
+        env_id: the task.
+        trajectories: the first so many; by default all that are there.
+        subsample: as of `load`.
+        experts: as of `load`.
+
+    Raises:
+        ValueError: what is wrong, and with which recording.
     """
     checked("trajectories", trajectories, Count | None)
     checked("subsample", subsample, Count)
@@ -278,20 +286,21 @@ def generate(
 ) -> None:
     """Write a Minari data set of the first episodes of a policy, or of any function that acts.
 
-    A function takes one observation, as the task gives it, and returns one action in the task's own
-    units: a controller of yours, or `lambda obs: model.predict(obs, deterministic=True)[0]` for a
-    model of Stable-Baselines3. It is a ValueError, with the episode and the step, if an action does
-    not fit the task.
+    Args:
+        policy: a `Policy`, whose actions are sampled, n members in turn; or a function of one
+            observation, as the task gives it, to an action in the task's own units: a controller of
+            yours, or `lambda obs: model.predict(obs, deterministic=True)[0]`.
+        env_id: the task.
+        trajectories: how many episodes.
+        dataset_id: a new name, such as `own/trained-v0`.
+        members: which of the shipped experts the policy's are, whose episodes are shipped.
+        at_least: the mean return that you know whoever acts to reach.
 
-    The actions of a `Policy` are sampled, as maximum-entropy experts act. With n members, experts
-    or the seeds of a run of your own, episode `i` is episode `i // n` of member `i % n`. `members`
-    says which of the shipped experts these are, and has the episodes that are shipped.
-
-    `at_least` is the mean return that you know whoever acts to reach: a ValueError says that these
-    episodes return less, as those of a model do that was trained under VecNormalize and is used
-    without it.
-
-    The name must be new, such as `own/trained-v0`; errors are those of `minari_storage.write`.
+    Raises:
+        ValueError: an action does not fit the task, with its episode and step; or the episodes
+            return less, as those of a model do that was trained under VecNormalize and is used
+            without it.
+        OSError: as of `minari_storage.write`.
     """
     # Everything that can go wrong is checked before minutes of work.
     checked("trajectories", trajectories, Count)
@@ -352,8 +361,7 @@ def first_episodes(
 ) -> Episodes:
     """Return `BLOCK` episodes of each expert, from episode `first` on; `members` as in `generate`.
 
-    Networks round differently on every kind of processor, and robots magnify that. MuJoCo does not:
-    from the shipped actions come the same episodes, of which digests are kept.
+    Networks round differently on every processor. MuJoCo does not, so shipped actions are played.
     """
     seeds = range(len(policy)) if members is None else members
     seeding: dict[str, Any] = {"purpose": PURPOSE, "first": first}

@@ -56,8 +56,7 @@ class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
             raise ValueError(f"{many}: choose it, member=0 to {len(reward) - 1}")
         self._reward = reward.member(0 if member is None else member).to("cpu")
         (obs_dim,), (action_dim,) = seen.shape, self._units.shape
-        sees = reward.normaliser.mean.shape[-1]
-        takes = 0 if reward.state_only else reward.net.sizes[0] - sees
+        sees, takes = reward.sees
         if sees not in (obs_dim, obs_dim + 1) or takes not in (0, action_dim):
             raise ValueError(
                 f"the reward of {reward.env_id} sees {sees} numbers of an observation (one more "

@@ -36,8 +36,7 @@ class Recording(NamedTuple):
     """A recorded episode of T steps, with actions in the task's own units.
 
     `terminated` says whether the task had ended for good; otherwise the recording was cut. Rewards
-    are used for `Demonstrations.returns` alone, and may be unknown. Observations may be
-    dictionaries where the task's are: one of arrays, or a list (`envs.flatten`).
+    may be unknown. Observations may be dictionaries where the task's are (`envs.flatten`).
     """
 
     obs: Float[np.ndarray, "T+1 O"]
@@ -49,11 +48,18 @@ class Recording(NamedTuple):
 def write(
     recordings: Sequence[Recording], env_id: str, dataset_id: str, *, description: str | None = None
 ) -> None:
-    """Write a Minari data set of episodes from anywhere, under a new name such as `own/arm-v0`.
+    """Write a Minari data set of episodes from anywhere.
 
-    Raises FileExistsError rather than overwrite, OSError if the storage cannot be written to, and
-    ValueError if a recording does not fit the task, or the name or the task is not valid. Nothing
-    is written then.
+    Args:
+        recordings: the episodes.
+        env_id: their task.
+        dataset_id: a new name, such as `own/arm-v0`.
+        description: in a sentence.
+
+    Raises:
+        FileExistsError: there is such a data set.
+        OSError: the storage cannot be written to.
+        ValueError: a recording does not fit the task, or an argument is not valid.
     """
     require_new(dataset_id)
     if not isinstance(recordings, Sequence) or not recordings:
@@ -126,11 +132,17 @@ def _episode(i: int, recording: Recording, seen: Box, units: Box) -> EpisodeBuff
 
 
 def read(dataset_id: str, env_id: str, trajectories: int) -> tuple[Batch, tuple[int, ...]]:
-    """Return the transitions of the first episodes, axes `N` in order, and each episode's length.
+    """Return the transitions of a data set's first episodes, axes `N`, and each episode's length.
 
-    Actions are scaled to [-1, 1]. A data set that was made on another task is accepted if it fits
-    this one, and the log says so. It is a ValueError if there are too few episodes, if a file is
-    damaged, or if shapes, types, ranges, finiteness or episode ends do not fit the task.
+    Actions are scaled to [-1, 1]. What was made on another task is accepted if it fits, and logged.
+
+    Args:
+        dataset_id: its name.
+        env_id: the task.
+        trajectories: how many episodes.
+
+    Raises:
+        ValueError: there are too few, a file is damaged, or something does not fit the task.
     """
     seen, units = envs.spaces(env_id)
     with _reading(f"data set {dataset_id}"):

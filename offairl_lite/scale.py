@@ -9,8 +9,5 @@ Scale = Literal["demo", "full"]
 
 
 def current() -> Scale:
-    """Return the scale that `OFFAIRL_SCALE` names, `demo` where it is unset; else ValueError.
-
-    `demo` trains really, but small: minutes on two cores. `full` is the paper's protocol.
-    """
+    """Return the scale that `OFFAIRL_SCALE` names: `demo`, small and in minutes, or the paper's."""
     return checked("OFFAIRL_SCALE", os.environ.get("OFFAIRL_SCALE", "demo"), Scale)

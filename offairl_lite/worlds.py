@@ -24,7 +24,7 @@ from offairl_lite.config import Config
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
 from offairl_lite.core.loop import Trainer
-from offairl_lite.core.networks import Normaliser, optimizer_states
+from offairl_lite.core.networks import Normaliser, states_of
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.shapes import Metrics
@@ -133,7 +133,7 @@ def share(first: Discriminator, *others: Discriminator) -> None:
     """Let all have the reward of the first, and its optimizer's state."""
     for each in others:
         each.reward_params, each.reward_optimizer = first.reward_params, first.reward_optimizer
-        each.state = optimizer_states(reward=first.reward_optimizer, value=each.value_optimizer)
+        each.state = states_of(reward=first.reward_optimizer, value=each.value_optimizer)
 
 
 def update(

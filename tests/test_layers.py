@@ -13,7 +13,7 @@ config scale core.shapes core.rng core.acceleration envs tabular core.networks c
 core.absorbing core.policies core.rollouts minari_storage recordings demonstrations cloning plain
 core.rewards
 core.discriminator core.experience core.sac core.iq_learn core.td3 core.ppo core.learner
-core.results core.collector core.scaling core.requirements core.loop worlds ablations experiments
+core.results core.collector core.requirements core.loop worlds ablations experiments
 analysis.statistics analysis.epic analysis.plots analysis.films runs.records runs.tensorboard
 runs.inputs runs.preflight learned_reward runs.export runs.pictures runs.checkpoints runs.jobs
 runs.messages runs.folders runs.grid runs.launch runs.bench airl runs.cli

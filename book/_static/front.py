@@ -3,7 +3,7 @@
 The reward is the one recorded at the paper's size; the policy for the moved
 wall is trained here.
 
-.venv/bin/python book/_static/front.py
+PYTHONPATH=book .venv/bin/python book/_static/front.py
 """
 
 from pathlib import Path
@@ -11,8 +11,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+import plots
 from offairl_lite import demonstrations, experiments
-from offairl_lite.analysis import plots
 from offairl_lite.core.loop import train
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.runs import records

@@ -5,9 +5,9 @@ from contextlib import closing
 import matplotlib.pyplot as plt
 from matplotlib.colors import ListedColormap
 
+import plots
 from drawing import diagram, film, table
 from offairl_lite import envs
-from offairl_lite.analysis import plots
 
 
 def hoppers(kept, FRAMES):

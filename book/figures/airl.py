@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import log_softmax
 
+import plots
 from drawing import EDGE, bare, diagram, film, number, percent, table
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration

@@ -9,9 +9,9 @@ import torch
 from matplotlib.colors import LinearSegmentedColormap
 from torch import Generator, nn
 
+import plots
 from drawing import diagram, film, percent, table
 from offairl_lite import envs
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL
 from offairl_lite.plain import (

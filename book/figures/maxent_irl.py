@@ -9,9 +9,9 @@ from matplotlib.colors import PowerNorm
 from scipy.sparse import eye_array
 
 import drawing
+import plots
 from drawing import number, percent
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.tabular import (
     MDP,
     maxent_irl,

@@ -7,7 +7,7 @@ import torch
 from matplotlib.patches import Ellipse
 
 import drawing
-from offairl_lite.analysis import plots
+import plots
 from offairl_lite.analysis.statistics import difference, interquartile_mean
 from offairl_lite.core.policies import MultiplicativeGaussian
 

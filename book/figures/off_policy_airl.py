@@ -6,9 +6,9 @@ import torch
 from matplotlib import patheffects
 from matplotlib.collections import LineCollection
 
+import plots
 from drawing import diagram, film, percent, table
 from offairl_lite import demonstrations
-from offairl_lite.analysis import plots
 from offairl_lite.envs.models import GOAL, walls
 from offairl_lite.runs import records
 

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 from IPython.display import HTML
 
 import drawing
-from offairl_lite.analysis import plots
+import plots
 from offairl_lite.analysis.statistics import difference, success_rate
 from paper_claims import CLAIMS
 from paper_verdicts import (

@@ -5,9 +5,10 @@ import numpy as np
 import torch
 from matplotlib.ticker import NullLocator
 
+import plots
 from drawing import EDGE, bare, diagram, film, table
 from offairl_lite import demonstrations
-from offairl_lite.analysis import epic, plots
+from offairl_lite.analysis import epic
 from offairl_lite.runs import records
 
 LEVELS = (0.5, 0.9, 0.99)

@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
+import plots
 from drawing import bare, diagram, film, table
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.runs import records
 from paper_figures import PAPER
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from matplotlib import patheffects
 
+import plots
 from drawing import diagram, film, table
-from offairl_lite.analysis import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL, START
 from offairl_lite.runs import records

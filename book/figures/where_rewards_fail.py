@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.patches import Rectangle
 
+import plots
 from drawing import diagram, table
-from offairl_lite.analysis import plots
 from offairl_lite.envs.models import GOAL, MARSH, WEST
 from offairl_lite.envs.tasks import MARSH_COST, in_marsh
 from offairl_lite.runs import records

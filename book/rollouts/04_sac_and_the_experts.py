@@ -8,9 +8,10 @@ import nbformat
 import numpy as np
 from jaxtyping import UInt8
 
+import plots
 from drawing import film
 from offairl_lite import demonstrations, plain
-from offairl_lite.analysis import films, plots
+from offairl_lite.analysis import films
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.runs import records
 from rollouts import KEPT

@@ -40,19 +40,13 @@ def expected_cross_entropy(
 
 
 def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
-    """Return nodes and weights of the mean over a standard normal variable.
-
-    With 32, the mean softplus is exact to 1e-3 up to a standard deviation of 5.
-    """
+    """Return nodes and weights of a standard normal mean: of a softplus to 1e-3, up to σ = 5."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
 
 
 class Code:
-    """A scalar that is linear in a stochastic code z ~ N(μ(x), σ(x)²), of dimension `size`.
-
-    At the code's mean it is an ordinary network, `net`; around it, being linear, it is Gaussian.
-    """
+    """A scalar that is linear in a code z ~ N(μ(x), σ(x)²) of dimension `size`, at μ(x) a `net`."""
 
     def __init__(self, net: StackedMLP, size: int) -> None:
         self.net, self.size = net, size
@@ -106,9 +100,8 @@ class BottleneckConfig(DiscriminatorConfig):
 
 
 class Bottleneck(Discriminator):
-    """r and V see a transition through codes that carry I_c nats on average at most.
+    """r and V see a transition through independent codes, which carry I_c nats on average at most.
 
-    A transition's code is that of r's input, that of V's at s and that at s', drawn independently.
     `multiplier`, β, is the price of a nat, raised by dual ascent while there are too many.
     """
 
@@ -141,10 +134,7 @@ class Bottleneck(Discriminator):
     def loss(
         self, expert: Transitions, policy: Transitions, mixing: Mixing
     ) -> tuple[Scalar, Metrics]:
-        """Return the expected loss over codes, plus β (KL - I_c), and diagnostics.
-
-        The penalty, where there is one, is that at the code's mean.
-        """
+        """Return the expected loss plus β (KL - I_c); its penalty is taken at the code's mean."""
         expert_logit, policy_logit = self.logits(expert, policy)
         grad_norm = self.gradient_norm(expert, policy, mixing)
         variance, divergence = self.spread(both_sides(expert, policy))

@@ -57,8 +57,7 @@ class OnProbability(Discriminator):
         return (square + TINY).sqrt()
 
 
-Vectors = Float[Tensor, "S V"]
-"""A unit vector for each layer, as long as its output, end to end."""
+Vectors = Float[Tensor, "S V"]  #: A unit vector for each layer, as long as its output, end to end.
 
 
 def init_vectors(net: StackedMLP, rng: Rng) -> Vectors:
@@ -76,8 +75,7 @@ def power_iteration(net: StackedMLP, params: Params, vectors: Vectors) -> Vector
 def spectrally_normalised(net: StackedMLP, params: Params, vectors: Vectors) -> Params:
     """Return `params` with each weight matrix divided by its largest singular value.
 
-    That is ‖W u‖ at the singular vector u that `power_iteration` finds; its gradient, with u held
-    constant, is the singular value's (Miyato et al. 2018).
+    That is ‖W u‖ at `power_iteration`'s u, which is held constant (Miyato et al. 2018).
     """
     parts = []
     pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)

@@ -1,7 +1,6 @@
-"""State-only DAC: a discriminator that judges steps from state to state, and sees no action.
+"""State-only DAC: its logit is any function g(s, s'), and sees no action.
 
-Its logit is any function g(s, s'), without AIRL's form r + γ V(s') - V(s): two things that
-off-policy AIRL with r(s) changes at once are told apart (Torabi et al. 2018 learn on-policy so).
+Without AIRL's form r + γ V(s') - V(s): Torabi et al. (2018) learn on-policy so.
 """
 
 from collections.abc import Iterator

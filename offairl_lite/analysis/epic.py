@@ -33,10 +33,9 @@ RewardFunction = Callable[[Tensor, Tensor, Tensor], Float[Tensor, "N"]]
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return the canonically shaped reward C(R)(s, a, s') of transitions.
+    """Return C(R)(s, a, s') of transitions; a potential shifts it by one constant for all.
 
-    Shaping R by a potential adds the same constant to C(R) for every transition. The samples are
-    draws of (S, A, S'), each column independent of the other columns.
+    Samples are draws of (S, A, S'), each column independent of the others.
     """
     count, draws = len(transitions.obs), len(samples.obs)
     action = samples.action.repeat(count, 1)
@@ -51,18 +50,11 @@ def canonical(
 
 
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
-    """Return sqrt((1 - ρ) / 2), where ρ is the correlation of x and y, from 0 to 1.
-
-    It is 0 if the two are equal up to shift and positive scale, 1 if one is the other's negative,
-    and a ValueError if one is constant.
-    """
+    """Return sqrt((1 - ρ) / 2) for the correlation ρ; ValueError if one of them is constant."""
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
     if not norms > 0:
-        raise ValueError(
-            "a reward that is the same for all transitions has no correlation; compare rewards on "
-            "transitions where they vary"
-        )
+        raise ValueError("a reward that is the same for all transitions has no correlation")
     # From ‖x̂ - ŷ‖² = 2 (1 - ρ): near ρ = 1 this loses no digits, as 1 - ρ itself would.
     return (x / x.norm() - y / y.norm()).norm() / 2
 
@@ -73,17 +65,14 @@ def distances(
     samples: Transitions,
     discount: float,
 ) -> Float[Tensor, "K K"]:
-    """Return the EPIC distance of each pair of rewards, from 0 to 1.
+    """Return the EPIC distance of each pair of rewards, from 0 to 1, over these transitions.
 
-    The transitions are from the coverage distribution, over which rewards are compared; `samples`
-    and the `discount` of the ignored shaping are those of `canonical`. It is a ValueError if a
-    reward is nothing but shaping on these transitions, up to rounding.
+    `samples` and `discount` are those of `canonical`. ValueError if a reward is mere shaping.
     """
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
     for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):
         if not left.std() > 1e-5 * reward(*transitions).std():
             raise ValueError(
-                f"reward {i} is nothing but shaping on these transitions, so there is nothing to "
-                "compare; leave it out"
+                f"reward {i} is nothing but shaping on these transitions: leave it out"
             )
     return torch.stack([torch.stack([pearson_distance(x, y) for y in shaped]) for x in shaped])

@@ -21,18 +21,23 @@ from offairl_lite.core.rollouts import require_fit
 def frames(
     policy: Policy, env_id: str, seed: int = 0, max_steps: int = 200, every: int = 1
 ) -> UInt8[np.ndarray, "T H W 3"]:
-    """Return frames, `every` so many steps, of one episode in which a policy takes its mode.
+    """Return frames of one episode in which a policy takes its mode.
 
-    It is a ValueError if the policy has more than one member (take `policy.member(i)`) or does not
-    fit the task, if that does not render frames, as the package's own do, or a count is below 1.
+    Args:
+        policy: of one member, such as `policy.member(i)`.
+        env_id: the task.
+        seed: of the episode.
+        max_steps: where to stop at the latest.
+        every: so many steps lie between two frames.
+
+    Raises:
+        ValueError: the policy has several members or does not fit the task, that does not render
+            frames, or a count is below 1.
     """
     for name, count in (("max_steps", max_steps), ("every", every)):
         checked(name, count, Count)
     if len(policy) != 1:
-        raise ValueError(
-            f"the policy has {len(policy)} members, and a film shows one: choose it, for example "
-            "policy.member(0)"
-        )
+        raise ValueError(f"the policy has {len(policy)} members; choose one: policy.member(0)")
     policy = policy.to("cpu")
     with _filming(env_id):
         env = envs.make(env_id, 1, seed, render_mode="rgb_array")

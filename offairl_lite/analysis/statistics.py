@@ -57,10 +57,7 @@ def _percentiles(
 
 
 def bootstrap_interval(values: Float[np.ndarray, "N ..."]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of the interquartile mean over the first axis.
-
-    All resamples of up to eight values are taken, 10,000 random ones of more.
-    """
+    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
     (drawn,), probability = _resamples(len(values))
     return _percentiles(interquartile_mean(values[drawn.T]), probability)
 
@@ -72,8 +69,7 @@ def difference(
 ) -> tuple[float, float, float]:
     """Return by how much a statistic of some runs' returns is above that of others.
 
-    With it come the ends of its percentile bootstrap interval over the seeds of both; a single seed
-    tells nothing of others, and leaves the interval without ends.
+    With it come the ends of its percentile bootstrap interval; with a single seed it has none.
     """
     gain = float(statistic(one) - statistic(other))
     if min(len(one), len(other)) < 2:
@@ -103,12 +99,7 @@ def probability_of_improvement(
 
 
 def success_rate(succeeded: Bool[np.ndarray, "N"]) -> tuple[float, float, float]:
-    """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927).
-
-    Unlike a bootstrap's, it has a width also where all seeds succeed or none does.
-    """
-    if not len(succeeded):
-        raise ValueError("no seeds were given, and a success rate needs at least one")
+    """Return the share of seeds that succeed, with the ends of Wilson's interval (Wilson 1927)."""
     test = scipy.stats.binomtest(int(np.sum(succeeded)), len(succeeded))
     interval = test.proportion_ci(0.95, method="wilson")
     return float(np.mean(succeeded)), float(interval.low), float(interval.high)
@@ -124,16 +115,10 @@ def compare_successes(
     succeeds; if not, it is Fisher's exact one.
     """
     one, other = np.asarray(one, bool), np.asarray(other, bool)
-    if not len(one) or not len(other):
-        raise ValueError(f"found {len(one)} and {len(other)} seeds; both need at least one")
     above = float(one.mean() - other.mean())
     if not paired:
         table = [[one.sum(), (~one).sum()], [other.sum(), (~other).sum()]]
         return above, float(scipy.stats.fisher_exact(table).pvalue)
-    if len(one) != len(other):
-        raise ValueError(
-            f"found {len(one)} and {len(other)} seeds, expected as many: pair those that both have"
-        )
     only_one, only_other = int((one & ~other).sum()), int((other & ~one).sum())
     if not only_one + only_other:
         return above, 1.0

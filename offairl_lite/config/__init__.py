@@ -1,10 +1,8 @@
 """What a run is, in three groups: its schedule, its learner, and its discriminator.
 
-Each part of the code receives its own group. `Config.flat` puts all settings side by side, for
-tables, grids and the command line; `Config.of` and `Config.change` take such flat names.
-
-`PAPER` is the text of the paper and `CORRECTED` the mathematics done right; what its released code
-optimises is `ablations.released.RELEASE`. What the paper leaves unsaid is filled in from that code.
+`Config.flat` puts all settings side by side, for tables, grids and the command line; `Config.of`
+and `Config.change` take such flat names. `PAPER` is the text of the paper and `CORRECTED` the
+mathematics done right; what its released code optimises is `ablations.released.RELEASE`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -176,10 +174,7 @@ class Config:
 
 
 def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
-    """Return the flat settings in which two configurations differ, with both values.
-
-    None stands for a setting that one of them has no use for.
-    """
+    """Return the flat settings that differ, with both values; None is for one without use."""
     here, others = one.flat(), other.flat()
     pairs = {name: (here.get(name), others.get(name)) for name in here | others}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}

@@ -211,10 +211,7 @@ class Frozen:
 
 @dataclass(frozen=True)
 class Labels(Checked):
-    """Instead of a discriminator: minibatches half of demonstrations, half of replay.
-
-    No reward is learned that could be used again.
-    """
+    """Instead of a reward: minibatches half of demonstrations, half of replay."""
 
     reward: LabelReward
     """What SAC does with the halves. SQIL pays the demonstrations 1 and replay 0; IQ-Learn's critic

@@ -55,8 +55,7 @@ class Checked:
     """A group of settings, checked one by one and then together."""
 
     kind: ClassVar[str] = ""
-    renamed: ClassVar[dict[str, str]] = {}
-    """Flat names of fields that another group has as well."""
+    renamed: ClassVar[dict[str, str]] = {}  #: Flat names of fields that another group has as well.
     settings: ClassVar[dict[str, tuple[str, Any]]] = {}
     """The names and types of the fields, by their flat names."""
 

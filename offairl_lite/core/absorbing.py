@@ -1,12 +1,10 @@
 r"""Absorbing states: what follows a termination (Kostrikov et al. 2019, section 4.1).
 
 An imitator that is paid only while the episode lasts learns from the sign of its reward whether to
-prolong or to end it. The cure is to let a terminated episode go on, in a state $s_a$ that never
-changes, and to learn the reward there too. Observations get one more coordinate, 1 in $s_a$ and 0
-elsewhere; all other coordinates of $s_a$ are 0. A time limit never leads to $s_a$.
-
-The loop's return can be left to the critic (`bootstrap`), or written down, since it is a geometric
-series (`analytic`, the paper's $R_T$): $R_T = r(s_T, a_T) + \gamma \, r(s_a) / (1 - \gamma)$.
+end it. The cure is to let a terminated episode go on, in a state $s_a$ that never changes, and to
+learn the reward there too. Observations get one more coordinate, 1 in $s_a$, where all others are
+0, and 0 elsewhere. A time limit never leads to $s_a$. The loop's return is left to the critic
+(`bootstrap`), or written down (`analytic`): $R_T = r(s_T, a_T) + \gamma \, r(s_a) / (1 - \gamma)$.
 """
 
 import torch
@@ -47,8 +45,7 @@ def absorbing_state(like: Extended) -> Extended:
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 
-    Nothing is terminated afterwards, so the critics' target bootstraps from the value of the
-    absorbing state: this is the whole of `bootstrap`.
+    Nothing is terminated then, so critics bootstrap from its value: the whole of `bootstrap`.
     """
     next_obs, ended = extend(batch.next_obs), batch.terminated.unsqueeze(-1) == 1
     return batch._replace(

@@ -1,9 +1,7 @@
 """How updates are executed: as they are written, compiled, or replayed as a CUDA graph.
 
-The update is the same function in each case; only the order of floating-point sums may differ. As
-written it is hundreds of small operations. Compiled they become a few dozen, at two to three times
-the speed, which pays for runs longer than the minute or two that compiling takes. Most of
-what is left is matrix products. On a GPU a captured graph calls all at once.
+The update is the same function in each case; only the order of floating-point sums may differ.
+Compiled, hundreds of small operations become a few dozen, at two to three times the speed.
 """
 
 import shutil
@@ -25,10 +23,11 @@ from offairl_lite.config.settings import checked
 class Execution:
     """Where and how a run is computed. Another choice gives the same run up to rounding.
 
-    Networks live on the `device`, `cpu` or `cuda`. `threads` are those of PyTorch, in the whole
-    process, and of the physics: a second core does more good with a second process. To `compile`
-    updates takes a C++ compiler and a minute or two. With `onednn` oneDNN makes the matrix products
-    of large networks, where that costs no precision.
+    Args:
+        device: where networks live, `cpu` or `cuda`.
+        threads: of PyTorch, in the whole process, and of the physics.
+        compile: whether updates are compiled, which takes a C++ compiler and a minute or two.
+        onednn: whether oneDNN makes the products of large networks, if that costs no precision.
     """
 
     device: str = "cpu"
@@ -48,10 +47,9 @@ class Execution:
             )
 
     def accelerate(self, step: Callable, hidden: tuple[int, ...]) -> Callable:
-        """Return a function that does what `step` does, which changes tensors in place.
+        """Return a function that does what `step` does, an update of networks with `hidden` layers.
 
-        `hidden` are the layers of the networks that it updates. It takes tensors, always of the
-        same shapes, tuples of them, None and flags, and returns a dictionary of tensors.
+        It takes tensors, always of the same shapes, tuples, None and flags; it returns tensors.
         """
         if self.compile:
             # Gradients are taken inside the function that is compiled.
@@ -82,15 +80,11 @@ def choose_execution(
     return Execution(device, threads, compile == "yes", onednn)
 
 
-PIECE = 500
-"""Rows that go through a large network at once where `piecewise` has a say."""
+PIECE = 500  #: Rows that go through a large network at once where `piecewise` has a say.
 
 
 def piecewise(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Return `function`, of weights and tensors `S B`, for one member at a time and few rows.
-
-    What a large network makes of few rows stays in a core's cache. It is not differentiated.
-    """
+    """Return `function` for one member at a time and few rows, which stay in a core's cache."""
 
     @wraps(function)
     def pieces(params: Tensor, *tensors: Tensor) -> Tensor:
@@ -156,8 +150,7 @@ def onednn_is_faster() -> bool:
 class CudaGraphed:
     """A step that is captured as a CUDA graph the second time it is called with the same flags.
 
-    The first call runs as written, so that libraries are ready; it is an update like any other.
-    Capturing computes nothing, so no update is made twice.
+    The first call, an update as any, makes libraries ready. Capturing computes nothing.
     """
 
     def __init__(self, step: Callable) -> None:

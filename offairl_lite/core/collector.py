@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from offairl_lite.config import Config
@@ -24,8 +24,7 @@ log = logging.getLogger(__name__)
 class Members:
     """Which members of the population are still training.
 
-    A member whose numbers are no longer finite is given up. Its weights become zeros, so that it
-    does no harm to the others, with which it goes on being computed.
+    One whose numbers are not finite is given up. Its weights become zeros, which harm no other.
     """
 
     def __init__(self, seeds: Sequence[int], weights: dict[str, Tensor]) -> None:
@@ -38,10 +37,7 @@ class Members:
         return [i for i, seed in enumerate(self.seeds) if seed not in self.diverged]
 
     def give_up(self, lost: Bool[Tensor, "S"], step: int, problem: str) -> None:
-        """Go on without the members in `lost`; FloatingPointError if none is left.
-
-        The reason that is kept and warned of says `what` is wrong, and since when.
-        """
+        """Go on without the members in `lost`; FloatingPointError if none is left."""
         for i in lost.nonzero().flatten().tolist():
             seed = self.seeds[i]
             if seed not in self.diverged:
@@ -77,10 +73,7 @@ def _say_that_ends_matter(env_id: str) -> None:
 
 
 class Collector:
-    """Acts with all members at once, one environment each, and fills the replay.
-
-    Members whose numbers are not finite are given up. A guide acts first in each episode.
-    """
+    """Acts with all members at once, one environment each, after a guide, and fills the replay."""
 
     def __init__(
         self,
@@ -108,13 +101,16 @@ class Collector:
     def step(
         self, explore: Callable[[Float[Tensor, "S O"]], Float[Tensor, "S A"]] | None
     ) -> Bool[np.ndarray, "S"]:
-        """Act once with every member, store the transitions, and tell whose episode has ended.
-
-        `explore` goes from observations, as networks see them, to `pre_tanh`; None acts at random.
-        """
+        """Act once, as `explore` says in `pre_tanh`, or at random; tell whose episode has ended."""
         obs = _float(self.obs).to(self.rng.device)
         obs = absorbing.extend(obs) if self.absorbing else obs
-        pre_tanh = self._warmup_action() if explore is None else explore(obs)
+        if explore is None:  # Uniform actions, each held for `random_hold` steps on average.
+            fresh = 2 * self.rng.uniform(self.held_action.shape[1]) - 1
+            redraw = self.rng.uniform(1) < 1 / self.config.schedule.random_hold
+            self.held_action = torch.where(redraw | (self.steps == 0), fresh, self.held_action)
+            pre_tanh = unsquash(self.held_action)
+        else:
+            pre_tanh = explore(obs)
         finite = pre_tanh.isfinite()
         if not finite.all():
             self.members.give_up(~finite.all(-1), self.steps, "actions are not finite")
@@ -131,7 +127,15 @@ class Collector:
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
         unguided = (self.guided == 0).nonzero().squeeze(1)
-        self._store(Batch(*(part[unguided] for part in parts)), unguided)
+        batch = Batch(*(part[unguided] for part in parts))
+        ended = batch.terminated == 1
+        if self.absorbing:
+            batch = absorbing.rewrite(batch)
+        elif self.ends_matter and ended.any():
+            _say_that_ends_matter(self.config.env_id)
+        self.replay.add(batch, unguided)
+        if self.absorbing and ended.any():
+            self.replay.add(absorbing.loops(batch), unguided[ended])
         self.guided = (self.guided - 1).clamp(min=0)
         done = terminated | truncated
         self._draw_guided_steps(done)
@@ -139,13 +143,6 @@ class Collector:
         self.steps += 1
         self.episodes += torch.from_numpy(done)
         return done
-
-    def _warmup_action(self) -> Float[Tensor, "S A"]:
-        """Return uniform actions, each held for `random_hold` steps on average."""
-        fresh = 2 * self.rng.uniform(self.held_action.shape[1]) - 1
-        redraw = self.rng.uniform(1) < 1 / self.config.schedule.random_hold
-        self.held_action = torch.where(redraw | (self.steps == 0), fresh, self.held_action)
-        return unsquash(self.held_action)
 
     def _reset(self, done: Bool[np.ndarray, "S"]) -> Float[np.ndarray, "S O"]:
         """Begin new episodes where one is done; return all observations."""
@@ -160,16 +157,6 @@ class Collector:
         if most := self.config.schedule.guide_steps:
             for i in np.flatnonzero(begins).tolist():
                 self.guided[i] = self.rng.integer(i, most + 1)
-
-    def _store(self, batch: Batch, members: Int[Tensor, "M"]) -> None:
-        ended = batch.terminated == 1
-        if self.absorbing:
-            batch = absorbing.rewrite(batch)
-        elif self.ends_matter and ended.any():
-            _say_that_ends_matter(self.config.env_id)
-        self.replay.add(batch, members)
-        if self.absorbing and ended.any():
-            self.replay.add(absorbing.loops(batch), members[ended])
 
     def state(self) -> dict[str, Tensor]:
         """Return what the next step depends on, the rows of the replay apart."""

@@ -18,15 +18,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from offairl_lite.config import DiscriminatorConfig
-from offairl_lite.core.networks import (
-    TINY,
-    Adam,
-    Normaliser,
-    StackedMLP,
-    descend,
-    optimizer_states,
-    zeros,
-)
+from offairl_lite.core.networks import TINY, Adam, Normaliser, StackedMLP, descend, states_of, zeros
 from offairl_lite.core.replay import Batch, LogDensity
 from offairl_lite.core.rewards import IMPLEMENTATIONS, OF_LOGIT, Implementation, Reward, log_odds
 from offairl_lite.core.rng import Rng
@@ -41,8 +33,7 @@ from offairl_lite.core.shapes import (
     Vector,
 )
 
-LEARNING_RATE = 1e-3
-"""Adam's, for r and V (Arnob 2020, section 5)."""
+LEARNING_RATE = 1e-3  #: Adam's, for r and V (Arnob 2020, section 5).
 
 
 def shaped_reward(r: Vector, value: Vector, next_value: Vector, discount: float) -> Vector:
@@ -88,10 +79,7 @@ def diagnostics(loss: Loss, expert_logit: Vector, policy_logit: Vector) -> Metri
 
 
 class Transitions(NamedTuple):
-    """What a discriminator looks at: scaled observations, actions, and log π beside them.
-
-    `log_prob` is 0 where the logit does not contain log π: e^f is compared with 1.
-    """
+    """Scaled observations, actions, and log π, which is 0 where the logit does not contain it."""
 
     obs: Obs
     action: Action
@@ -108,8 +96,7 @@ class Transitions(NamedTuple):
 Mixing = Float[Tensor, "S B 4"]
 """Uniform in [0, 1): where s, a, s' and log π are, from the policy's (0) to the expert's (1)."""
 
-Gradients = tuple[Obs, Action, Obs]
-"""∇f by s, a and s'."""
+Gradients = tuple[Obs, Action, Obs]  #: ∇f by s, a and s'.
 
 
 def both_sides(expert: Transitions, policy: Transitions) -> Transitions:
@@ -120,8 +107,7 @@ def both_sides(expert: Transitions, policy: Transitions) -> Transitions:
 class Discriminator:
     """r and V of `S` members, and how they are trained; the weights are zeros until `init`.
 
-    Observations come scaled. The penalty holds ‖∇f‖ near 1 in their coordinates, so their scale is
-    part of the algorithm.
+    The penalty holds ‖∇f‖ near 1 in scaled observations: their scale is part of the algorithm.
     """
 
     log_prob_in_penalty = False
@@ -150,7 +136,7 @@ class Discriminator:
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
         # Everything that updates change: the tensors themselves.
-        self.state = optimizer_states(reward=self.reward_optimizer, value=self.value_optimizer)
+        self.state = states_of(reward=self.reward_optimizer, value=self.value_optimizer)
         # What r must not see, its first layer multiplies with 0.
         self.mask = None
         if config.reward_sees is not None:
@@ -229,10 +215,7 @@ class Discriminator:
     def loss(
         self, expert: Transitions, policy: Transitions, mixing: Mixing
     ) -> tuple[Scalar, Metrics]:
-        """Return the loss of a minibatch, summed over members, and diagnostics.
-
-        `mixing` says where between both sides the penalty is taken.
-        """
+        """Return the loss, summed over members, with its penalty at `mixing`, and diagnostics."""
         expert_logit, policy_logit = self.logits(expert, policy)
         grad_norm = self.gradient_norm(expert, policy, mixing)
         loss = airl_loss(expert_logit, policy_logit, grad_norm, self.config.gradient_penalty)

@@ -5,6 +5,7 @@ Minibatches are drawn `CHUNK` at a time, so that log π and rewards are computed
 stay as they are during a block.
 """
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -20,11 +21,32 @@ from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Vector
 
 
-def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
-    """Return minibatches, each of `size` demonstrations, paid 1, and `size` of replay, paid 0.
+def scaling_of(config: Config, replay: Replay, demonstrations: Batch | None) -> Normaliser:
+    """Return the scaling by what each member has seen and, half and half, what it was shown.
 
-    All have axes `S B`; the two of a minibatch lie side by side (Reddy et al. 2020, algorithm 1).
+    The absorbing state is left out; a reading that would scale away all others is warned of.
     """
+    population = len(replay.added)
+    if not config.schedule.normalise:
+        return Normaliser.identity(population, replay.obs_dim, replay.device)
+    members = []
+    for i in range(population):
+        sources = [batch.obs for batch in (replay.held(i), demonstrations) if batch is not None]
+        if config.schedule.absorbing != "none":
+            sources = [obs[~absorbing.is_absorbing(obs)] for obs in sources]
+        far = (sources[0] - sources[0].median(0).values).abs()
+        # Beside 1, too: what hardly moves, such as a thing at rest, may well be pushed.
+        for step, j in (far > 1e5 * far.median(0).values.clamp(min=1)).nonzero()[:1].tolist():
+            reading = f"observation[{j}] of member {i} of {config.env_id} is"
+            reading += f" {sources[0][step, j]:.6g} in step {step} of the warm-up"
+            why = "half of the others differ by less than a 100,000th of that, and would look alike"
+            warnings.warn(f"{reading}: {why}; mend the task", stacklevel=2)
+        members.append(Normaliser.of(*(obs.unsqueeze(0) for obs in sources)))
+    return Normaliser(*map(torch.cat, zip(*members, strict=True)))
+
+
+def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
+    """Return minibatches: half demonstrations, paid 1, half replay, paid 0 (Reddy et al. 2020)."""
     expert = expert._replace(reward=torch.ones_like(expert.reward))
     policy = policy._replace(reward=torch.zeros_like(policy.reward))
     halves = (
@@ -66,10 +88,7 @@ class Experience:
     def discriminator_minibatches(
         self, steps: int
     ) -> Iterator[tuple[Transitions, Transitions, Mixing]]:
-        """Yield minibatches of the expert and of the policy, and where to take the penalty.
-
-        There are as many as `discriminator_updates` says, or as the block has steps.
-        """
+        """Yield minibatches of expert and policy, as many as are set or as the block has steps."""
         discriminator, rng = self.discriminator, self.rng
         if discriminator is None or self.demonstrations is None:
             return
@@ -86,10 +105,7 @@ class Experience:
             yield from zip(*sides, mixing.split(size, 1), strict=True)
 
     def paid(self, batch: Batch) -> Batch:
-        """Return scaled transitions, with what the learner is to maximise as their reward.
-
-        With `absorbing="analytic"`, R_T is written into those that lead to the absorbing state.
-        """
+        """Return scaled transitions with the learner's reward; `analytic` writes R_T in."""
         learner, scaled = self.config.learner, self.scaled(batch)
         r = learner.reward_scale * self.reward(batch, scaled)
         centred = isinstance(learner, OffPolicyConfig) and learner.centre_reward

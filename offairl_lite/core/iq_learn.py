@@ -11,17 +11,15 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.shapes import Action, Obs, Scalar, TwinQ, Vector
 
-REGULARISER = 0.5
-"""1/(4α) before E r², for α = 0.5 (released code)."""
+REGULARISER = 0.5  #: 1/(4α) before E r², for α = 0.5 (released code).
 
 
 def iq_loss(q: TwinQ, value: TwinQ, next_value: Vector) -> Scalar:
     """Return -E_expert r + E[V(s) - γ V(s')] + E r²/(4α), r = Q(s, a) - γ V(s'), of both critics.
 
-    The first half of a minibatch is the expert's, the second replay's; E is over both. `value` is
-    V(s) by each critic, `next_value` is γ (1 - terminated) V(s') by the targets, held fixed. The
-    second term is (1 - γ) E V(s₀), telescoped along the episodes (Garg et al. 2021, algorithm 1,
-    with χ²; "value" in their code).
+    The first half of a minibatch is the expert's; E is over both. `next_value` is γ (1 -
+    terminated) V(s') by the targets. E[V(s) - γ V(s')] is (1 - γ) E V(s₀), telescoped (Garg et al.
+    2021, algorithm 1, with χ²; "value" in their code).
     """
     reward = q - next_value
     expert, _ = reward.chunk(2, -1)

@@ -24,8 +24,7 @@ class Learner(Protocol):
 
     actor: Actor
     actor_params: Params
-    state: dict[str, Tensor]
-    """The tensors that updates change: themselves, not copies."""
+    state: dict[str, Tensor]  #: The tensors that updates change: themselves, not copies.
 
     @property
     def update(self) -> Callable[..., Metrics]:
@@ -60,10 +59,7 @@ def adopt(learner: Learner, policy: Policy, new_gate: bool) -> None:
 
 
 def log_density(config: Config, learner: Learner, steps: int) -> LogDensity:
-    """Return log π of scaled transitions, under the actor as it is now, after so many steps.
-
-    With `loss="airl-mixture"`, π is mixed with the warm-up's uniform actions, as replay has them.
-    """
+    """Return log π as it is now; `airl-mixture` mixes it with the warm-up's uniform actions."""
     params, schedule = learner.actor_params.detach().clone(), config.schedule
     if getattr(config.discriminator, "loss", None) != "airl-mixture":
         return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)

@@ -1,8 +1,7 @@
 """Algorithm 1 of the paper: the one training loop, for a population of seeds.
 
 Act for a block of steps, an episode for instance; update the discriminator once for each step; then
-update the learner equally often, on the current reward. With the task's own reward, or a frozen
-one, there is no discriminator. PPO uses the same loop, but learns from the latest block alone.
+update the learner equally often, on the current reward. PPO learns from the latest block alone.
 """
 
 import warnings
@@ -24,16 +23,16 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
 from offairl_lite.core.discriminator import Discriminator, make_discriminator
-from offairl_lite.core.experience import Experience
+from offairl_lite.core.experience import Experience, scaling_of
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch, LogDensity, make_replay
 from offairl_lite.core.requirements import require_inputs, require_match
-from offairl_lite.core.results import Row, Run, evaluate
+from offairl_lite.core.results import Row, Run, learned_returns
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.scaling import scaling_of
+from offairl_lite.core.rollouts import rollout
 from offairl_lite.core.shapes import Layout, Metrics, Vector
 from offairl_lite.demonstrations import Demonstrations
 
@@ -79,15 +78,15 @@ class Trainer:
         self.seeds: tuple[int, ...] = checked(
             "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
         )
-        require_inputs(config, self.seeds, demonstrations, frozen_reward, pretrained_policy, guide)
+        earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
+        require_inputs(config, self.seeds, *earlier)
         self.config, self.schedule, self.execution = config, config.schedule, execution
         self.device, population = torch.device(execution.device), len(self.seeds)
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
-        earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
         with ExitStack() as undo:
             undo.callback(env.close)
-            self.dims = require_match(config, self.seeds, env, *earlier)
+            self.dims = require_match(config, env, *earlier)
             undo.pop_all()
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
@@ -172,8 +171,11 @@ class Trainer:
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
-        policy, replay = self.pretrained_policy, self.collector.replay
-        scaling = scaling_of(self.config, replay, self.demonstrations, policy or self.kept_reward)
+        policy, earlier = self.pretrained_policy, self.pretrained_policy or self.kept_reward
+        if earlier is None:
+            scaling = scaling_of(self.config, self.collector.replay, self.demonstrations)
+        else:
+            scaling = earlier.normaliser
         for part, fixed in zip(self.normaliser, scaling, strict=True):
             part.copy_(fixed)
         self.learner.init(self.rng)
@@ -198,16 +200,22 @@ class Trainer:
         """Run `eval_episodes` episodes with each member's mode, the same ones every time."""
         policy, reward, left = self.policy, self.reward, self.members.left
         assert policy is not None  # The warm-up is over.
-        return evaluate(
-            policy.member(*left),
-            reward and reward.member(*left),
-            [self.seeds[i] for i in left],
-            self.schedule.eval_episodes,
-            self.execution.threads,
-            step=self.steps,
-            episodes=self.collector.episodes[left].tolist(),
-            metrics={name: value[left] for name, value in self.metrics.items()},
-        )
+        seeds, threads = [self.seeds[i] for i in left], self.execution.threads
+        episodes, env_id = self.schedule.eval_episodes, self.config.env_id
+        played = rollout(policy.member(*left), env_id, seeds, episodes, num_threads=threads)
+        learned = learned_returns(played, reward and reward.member(*left))
+        return [
+            Row(
+                self.seeds[i],
+                self.steps,
+                int(self.collector.episodes[i]),
+                float(returns.mean()),
+                tuple(map(float, returns)),
+                float(learned[n].mean()),
+                {name: float(value[i]) for name, value in self.metrics.items()},
+            )
+            for n, (i, returns) in enumerate(zip(left, played.returns, strict=True))
+        ]
 
     @property
     def evaluation_is_due(self) -> bool:
@@ -306,11 +314,7 @@ def complete(
     progress: bool = True,
     on_advance: Callable[[list[Row]], None] = lambda rows: None,
 ) -> Run:
-    """Take a trainer, a new one or one that was restored, to its end.
-
-    `on_advance` is called after each block and each evaluation, with the rows of an evaluation if
-    it was one; if it raises `Stop`, the run ends there.
-    """
+    """Take a trainer to its end. `on_advance` gets each block's rows; it may raise `Stop`."""
     run = Run(trainer.config, trainer.seeds, diverged=trainer.members.diverged)
     total, first = trainer.config.total_steps, trainer.trained
     with tqdm(total=total, initial=first, unit="step", disable=not progress) as bar:
@@ -323,8 +327,6 @@ def complete(
                 on_advance(rows)
             except Stop:
                 break
-            except StopIteration as error:  # Once this ended a run, and hid mistakes.
-                raise RuntimeError("StopIteration: to end a run early, raise loop.Stop") from error
         bar.update(trainer.steps - bar.n)
     if trainer.finished and not trainer.trained:
         start, end = trainer.schedule.learning_starts, trainer.steps

@@ -33,8 +33,7 @@ from offairl_lite.core.shapes import (
     Vector,
 )
 
-TINY = 1e-12
-"""What keeps roots and quotients of lengths finite at 0."""
+TINY = 1e-12  #: What keeps roots and quotients of lengths finite at 0.
 
 
 class Normaliser(NamedTuple):
@@ -44,19 +43,16 @@ class Normaliser(NamedTuple):
     std: Float[Tensor, "S 1 O"]
 
     @classmethod
-    def identity(
-        cls, population: int, obs_dim: int, device: torch.device | str = "cpu"
-    ) -> "Normaliser":
+    def identity(cls, members: int, obs_dim: int, device: Any = "cpu") -> "Normaliser":
         """Return the map that changes nothing."""
-        zeros = torch.zeros(population, 1, obs_dim, device=device)
+        zeros = torch.zeros(members, 1, obs_dim, device=device)
         return cls(zeros, torch.ones_like(zeros))
 
     @classmethod
     def of(cls, *sources: Float[Tensor, "S _ O"]) -> "Normaliser":
         """Return the map that gives an even mixture of the sources mean 0 and standard deviation 1.
 
-        A coordinate that hardly varies, beside its mean or at all, is only centred: scaling it up
-        would turn rounding into signal.
+        A coordinate that hardly varies, beside its mean or at all, is only centred.
         """
         mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
         squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
@@ -73,10 +69,7 @@ class Normaliser(NamedTuple):
 
 @dataclass(frozen=True)
 class StackedMLP:
-    """A multilayer perceptron, for `S` sets of weights at once: a layer is one `baddbmm`.
-
-    `sizes` are the features of the input, of each hidden layer, and of the output, which is linear.
-    """
+    """A multilayer perceptron for `S` sets of weights at once; the last of `sizes` is linear."""
 
     sizes: Sizes
     activation: Literal["relu", "tanh"] = "relu"
@@ -122,8 +115,7 @@ class StackedMLP:
     ) -> tuple[Vector, Float[Tensor, "S B in"]]:
         """Return the scalar output and its gradient by the input.
 
-        The gradient is written out as the chain rule, that is, as a forward pass of its own.
-        Training on it then needs one ordinary backward pass, not a double one.
+        That is the chain rule as a forward pass: to train on it takes one backward pass, not two.
         """
         *hidden, (bias, weight) = self.layers(params)
         outputs = []
@@ -170,15 +162,13 @@ class TwinCritic:
         return q.view(2, *x.shape[:2])
 
 
-BETAS, EPSILON = (0.9, 0.999), 1e-8
-"""Adam's own, never changed."""
+BETAS, EPSILON = (0.9, 0.999), 1e-8  #: Adam's own, never changed.
 
 
 class Adam:
     """Adam over one tensor of weights (Kingma and Ba 2015), which starts to require gradients.
 
-    Its state is in tensors that are changed in place, so that a step is a fixed sequence of
-    operations: it can be compiled, or captured as a CUDA graph, together with the loss.
+    Its state changes in place, so that a step can be compiled, or captured as a CUDA graph.
     """
 
     def __init__(self, params: Tensor, learning_rate: float) -> None:
@@ -186,8 +176,7 @@ class Adam:
         self.mean, self.square = torch.zeros_like(params), torch.zeros_like(params)
         self.betas = torch.tensor(BETAS, device=params.device)
         self.decay = torch.ones_like(self.betas)
-        # The step's length and ε, corrected for the bias. They have a place of their own so that a
-        # compiled step computes them once, not once for every weight.
+        # The step's length and ε, corrected for the bias: compiled, they are computed once.
         self.scale = torch.zeros_like(self.betas)
 
     @property
@@ -214,8 +203,8 @@ def zeros(layout: Layout, num_params: int) -> Params:
     return torch.zeros(layout.members, num_params, device=layout.device)
 
 
-def optimizer_states(**optimizers: Adam) -> dict[str, Tensor]:
-    """Return the states of several optimizers, each name after its optimizer's."""
+def states_of(**optimizers: Adam) -> dict[str, Tensor]:
+    """Return the states of optimizers, each name after its optimizer's."""
     return {f"{kind}.{name}": x for kind, it in optimizers.items() for name, x in it.state.items()}
 
 
@@ -234,10 +223,7 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_weights` wrote; FileNotFoundError if there is no such file.
-
-    It is a ValueError if it is damaged, or another file, or one of another `about["kind"]`.
-    """
+    """Read what `save_weights` wrote; FileNotFoundError, or ValueError if it is of another kind."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     try:

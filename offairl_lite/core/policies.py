@@ -23,12 +23,11 @@ from offairl_lite.core.networks import Normaliser, Population, StackedMLP, field
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Action, AnyObs, Obs, OtherParams, Params, Vector
 
-MAX_ACTION = 1 - 1e-6
-"""Where `unsquash` clamps: an action closer to ±1 counts as this one."""
+MAX_ACTION = 1 - 1e-6  #: Where `unsquash` clamps: an action closer to ±1 counts as this one.
 
 
 def unsquash(action: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return `pre_tanh` of given actions, clamped to ±`MAX_ACTION` (|pre_tanh| ≤ 7.25)."""
+    """Return `pre_tanh` of actions, clamped to ±`MAX_ACTION` (|pre_tanh| ≤ 7.25)."""
     return torch.atanh(action.clamp(-MAX_ACTION, MAX_ACTION))
 
 
@@ -44,10 +43,9 @@ def gaussian_log_density(x: Action, mean: Action, log_std: Action) -> Vector:
 
 
 def defensive_log_density(log_prob: Vector, uniform_share: float, action_dim: int) -> Vector:
-    """Return log((1 - w) π + w u): of π's actions mixed with a share w of uniform ones.
+    """Return log((1 - w) π + w u), with a share w of uniform actions on [-1, 1]^A.
 
-    u is the density on [-1, 1]^A. With w > 0 no action, however foreign to π, has a density below
-    w u: a defensive mixture (Hesterberg 1995).
+    No action has a density below w u: a defensive mixture (Hesterberg 1995).
     """
     share = log_prob.new_tensor(uniform_share)
     return torch.logaddexp(log_prob + (-share).log1p(), share.log() - action_dim * math.log(2))
@@ -61,8 +59,7 @@ class Actor(ABC):
     action_dim: Count
     hidden: Sizes
 
-    outputs: ClassVar[int] = 1
-    """Outputs of the network for each dimension of the action."""
+    outputs: ClassVar[int] = 1  #: Outputs of the network for each dimension of the action.
 
     @property
     def net(self) -> StackedMLP:
@@ -91,8 +88,7 @@ class Actor(ABC):
 class SquashedGaussian(Actor):
     """SAC's actor: a = tanh(u), u ~ N(μ(s), σ(s)²) (Haarnoja et al. 2018, appendix C)."""
 
-    log_std_range: Interval = (-5.0, 2.0)
-    """Bounds of log σ."""
+    log_std_range: Interval = (-5.0, 2.0)  #: Bounds of log σ.
 
     outputs = 2
 
@@ -148,17 +144,14 @@ class MultiplicativeGaussian(SquashedGaussian):
     """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
 
     `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
-    Gaussian again. The primitives grow out of one trunk, whose layers are `hidden`, and are one
-    stacked product; the gate is a network of its own.
+    Gaussian again. Primitives grow out of a trunk, whose layers are `hidden`; the gate does not.
     """
 
     primitives: Count = 4
     primitive_hidden: Sizes = (256,)
     gate_hidden: Sizes = (512, 256, 256)
     gating: Literal["softmax", "sigmoid", "softplus"] = "softmax"
-    """How the gate's outputs become weights w > 0. `softmax`: they add up to 1, and one primitive
-    alone is the plain squashed Gaussian; `sigmoid`: each in (0, 1) by itself; `softplus`: each
-    without an upper bound."""
+    """How the gate's outputs become weights w > 0: adding up to 1, each below 1, or unbounded."""
 
     @property
     def trunk(self) -> StackedMLP:
@@ -221,8 +214,7 @@ class MultiplicativeGaussian(SquashedGaussian):
 class Deterministic(Actor):
     """TD3's actor: a = tanh(μ(s)), and Gaussian noise on the action to explore."""
 
-    noise_std: float = 0.1
-    """Standard deviation of the exploration noise, in units of the action."""
+    noise_std: float = 0.1  #: Standard deviation of the exploration noise, in units of the action.
 
     def explore(self, params: Params, obs: Obs, noise: Action) -> Action:
         """Return `pre_tanh` of the action with noise on it; clipped, it has no density."""
@@ -261,8 +253,7 @@ class Policy(Population):
     def act(self, obs: AnyObs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given.
 
-        `obs` is (S, B, O) or (1, B, O), the task's own: the absorbing state's indicator is added
-        where the policy knows of it. It is a ValueError if it has another size.
+        `obs` is the task's own, (S, B, O) or (1, B, O); ValueError if it has another size.
         """
         self._require("obs", obs)
         obs = self.normaliser(fit(obs, self.actor.obs_dim, f"the policy of {self.env_id}"))

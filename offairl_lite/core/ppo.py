@@ -1,8 +1,7 @@
 """Proximal policy optimisation (Schulman et al. 2017), for a population.
 
-The on-policy learner, as GAIL and the first AIRL had one: it learns from the steps that the
-present policy has just taken, a few epochs long, and never looks at them again. The actor is SAC's,
-so that log π is the same thing for the discriminator whoever trains the policy.
+It learns from the steps that the present policy has just taken, a few epochs long, and never looks
+at them again. The actor is SAC's, so that log π is the same thing for the discriminator.
 """
 
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from offairl_lite.config import PPOConfig
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.networks import Adam, StackedMLP, descend, optimizer_states, zeros
+from offairl_lite.core.networks import Adam, StackedMLP, descend, states_of, zeros
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
@@ -32,8 +31,7 @@ FIRST_SCALE = 0.01
 def episode_ends(obs: Obs, next_obs: Obs) -> Bool[Tensor, "S B"]:
     """Tell which steps are the last ones known of an episode: the next begins somewhere else.
 
-    A reset to the very observation where an episode was cut off goes unnoticed, and may: what
-    follows is then a sample of what could have followed.
+    A reset to where an episode was cut off may go unnoticed: what follows is a sample.
     """
     ends = (next_obs[:, :-1] != obs[:, 1:]).any(-1)
     return torch.nn.functional.pad(ends, (0, 1), value=True)
@@ -86,10 +84,7 @@ class Rollout(NamedTuple):
 
 
 class PPO:
-    """Actor and value network of `S` members; observations come scaled.
-
-    The weights are zeros until `init`.
-    """
+    """Actor and value network of `S` members; observations come scaled."""
 
     def __init__(self, config: PPOConfig, layout: Layout) -> None:
         self.config = config
@@ -100,7 +95,7 @@ class PPO:
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         # Everything that updates change: the tensors themselves.
-        self.state = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
+        self.state = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
     def init(self, rng: Rng) -> None:

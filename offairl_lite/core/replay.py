@@ -19,8 +19,7 @@ from offairl_lite.core.shapes import Layout
 class Batch(NamedTuple):
     """Transitions; the leading axes are usually `S B`.
 
-    `terminated` is 1 where the task ended for good. A time limit is no termination: the next
-    observation still has a value, and a learner must go on counting on it.
+    `terminated` is 1 where the task ended for good, not at a time limit: there V(s') counts.
     """
 
     obs: Float[Tensor, "*batch O"]
@@ -39,10 +38,8 @@ class Batch(NamedTuple):
         return torch.tanh(self.pre_tanh)
 
 
-LogDensity = Callable[[Batch], Float[Tensor, "S B"]]
-"""log π of each transition of a scaled batch."""
-CHUNK = 50
-"""Minibatches that are drawn at a time."""
+LogDensity = Callable[[Batch], Float[Tensor, "S B"]]  #: log π of each transition of a scaled batch.
+CHUNK = 50  #: Minibatches that are drawn at a time.
 
 
 def chunks(minibatches: int) -> Iterator[int]:
@@ -70,11 +67,10 @@ def sample(demonstrations: Batch, rng: Rng, count: int) -> Batch:
 
 
 class Replay:
-    """The last `capacity` transitions of each member.
+    """The last `capacity` transitions of each member, which fill at their own pace.
 
-    Members fill at their own pace: an episode that terminates may add rows (see `absorbing`). Rows
-    stay in main memory, or in a `file` that is mapped into it; samples go to `device`. With more
-    `slots` than `capacity`, a replay that is put back by some steps still finds its rows.
+    Rows stay in main memory, or in a `file` that is mapped into it; samples go to `device`. With
+    more `slots` than `capacity`, a replay that is put back by some steps still finds its rows.
     """
 
     def __init__(
@@ -103,10 +99,8 @@ class Replay:
     def add(self, batch: Batch, members: Int[Tensor, "M"] | None = None) -> None:
         """Add one transition for each member, or for each of `members`, axes `M`."""
         rows, members = pack(batch), self._everyone if members is None else members
-        shape = len(members), self.rows.shape[-1]
-        if rows.shape != shape:
-            packed = f"transitions pack to {tuple(rows.shape)}"
-            raise ValueError(f"{packed}; this buffer takes {shape} (members, 2 obs + action + 2)")
+        if rows.shape != (shape := (len(members), self.rows.shape[-1])):
+            raise ValueError(f"transitions pack to {tuple(rows.shape)}; this replay takes {shape}")
         self.rows[self.added[members] % len(self.rows), members] = rows.to(self.rows)
         self.added[members] += 1
 
@@ -158,11 +152,9 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
 
 def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
     """Return an empty replay that can be rewound by `memory` steps."""
+    members, *dims, device, _ = layout
     slots = replay_slots(schedule, memory)
-    dims = layout.obs_dim, layout.action_dim
-    return Replay(
-        layout.members, schedule.replay_size, *dims, layout.device, file=file, slots=slots
-    )
+    return Replay(members, schedule.replay_size, *dims, device, file=file, slots=slots)
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:

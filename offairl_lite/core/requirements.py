@@ -5,9 +5,11 @@ from collections.abc import Sequence
 import torch
 
 from offairl_lite.config import Config, DiscriminatorConfig
+from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.networks import Population
 from offairl_lite.core.policies import Policy, make_actor
-from offairl_lite.core.rewards import IMPLEMENTATIONS, Reward
+from offairl_lite.core.rewards import Reward
+from offairl_lite.core.shapes import Layout
 from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
@@ -18,12 +20,13 @@ def require_inputs(
     demonstrations: Demonstrations | None,
     frozen_reward: Reward | None,
     pretrained_policy: Policy | None,
+    pretrained_reward: Reward | None,
     guide: Policy | None,
 ) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
     kinds = {"demonstrations": Demonstrations, "frozen_reward": Reward, "pretrained_policy": Policy}
-    kinds |= {"guide": Policy, "config": Config}
-    inputs = demonstrations, frozen_reward, pretrained_policy, guide, config
+    kinds |= {"pretrained_reward": Reward, "guide": Policy, "config": Config}
+    inputs = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide, config
     for (name, kind), value in zip(kinds.items(), inputs, strict=True):
         if not isinstance(value, kind) and (value is not None or name == "config"):
             raise ValueError(f"{name} is {value!r}; expected a {kind.__name__}")
@@ -44,6 +47,7 @@ def require_inputs(
     pairs: list[tuple[str, bool, Population | None]] = [
         (f"reward={frozen!r} and a frozen reward", frozen == "frozen", frozen_reward),
         (f"pretrained={kept!r} and a pretrained policy", kept != "nothing", pretrained_policy),
+        ("a pretrained reward", pretrained_reward is not None, pretrained_reward),
         (f"guide_steps={guided} and a guide", guided > 0, guide),
     ]
     for pair, is_needed, trained in pairs:
@@ -58,7 +62,6 @@ def require_inputs(
 
 def require_match(
     config: Config,
-    seeds: Sequence[int],
     env: BatchedEnv | SerialEnv,
     demonstrations: Demonstrations | None,
     frozen_reward: Reward | None,
@@ -66,10 +69,7 @@ def require_match(
     reward: Reward | None,
     guide: Policy | None,
 ) -> tuple[int, int]:
-    """Return O and A as networks see them; ValueError says what does not fit the task.
-
-    `policy` and `reward` are what a run begins with.
-    """
+    """Return O and A as networks see them; ValueError says what does not fit the task."""
     (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
     discriminator = config.discriminator
     sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None
@@ -79,69 +79,44 @@ def require_match(
             f"expected are indices from 0 to {obs_dim - 1}"
         )
     obs_dim += config.schedule.absorbing != "none"
+    dims = obs_dim, action_dim
     if frozen_reward is not None:
-        _require_reward_fits(config, frozen_reward, obs_dim, action_dim)
-    actor = make_actor(config.learner, obs_dim, action_dim)
+        obs_seen, action_seen = frozen_reward.sees
+        if frozen_reward.sees != (obs_dim, action_dim * (not frozen_reward.state_only)):
+            raise ValueError(
+                f"the frozen reward, of {frozen_reward.env_id}, sees {obs_seen} numbers and "
+                f"{action_seen or 'none'} of an action; with absorbing="
+                f"{config.schedule.absorbing!r}, {config.env_id} gives {obs_dim} and {action_dim}: "
+                "set absorbing as the reward's run did, or give the reward of a task like this one"
+            )
+    actor = make_actor(config.learner, *dims)
     if policy is not None and policy.actor != actor:
         raise ValueError(
             f"the pretrained policy is a {policy.actor}, and the actor of this run a {actor}: "
             "make the configurations the same"
         )
-    if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != (obs_dim, action_dim):
+    if guide is not None and (guide.actor.obs_dim, guide.actor.action_dim) != dims:
         raise ValueError(
             f"the guide, of {guide.env_id}, sees {guide.actor.obs_dim} numbers and gives "
             f"{guide.actor.action_dim}; this run has {obs_dim} and {action_dim}"
         )
     if reward is not None:
-        require_pretrained_reward(config, seeds, reward, policy, obs_dim)
+        if not isinstance(discriminator, DiscriminatorConfig) or discriminator.kind:
+            raise ValueError("a pretrained reward is for runs that learn one, without an ablation")
+        own = make_discriminator(discriminator, Layout(1, *dims))
+        expected = (obs_dim, action_dim * (not own.state_only)), own.reward_net
+        if (reward.sees, reward.net) != expected:
+            raise ValueError(
+                f"the pretrained reward sees {reward.sees} numbers of an observation and an "
+                f"action, by a {reward.net}; this run's sees {expected[0]}, by a {expected[1]}: "
+                "give the settings of the run that it is from"
+            )
+        scales = [] if policy is None else zip(reward.normaliser, policy.normaliser, strict=True)
+        if not all(torch.equal(one, other) for one, other in scales):
+            raise ValueError(
+                "the pretrained policy and the pretrained reward scale observations differently: "
+                "give those of one run, or only one of them"
+            )
     if demonstrations is not None:
         require_demonstrations(demonstrations, env)
-    return obs_dim, action_dim
-
-
-def require_pretrained_reward(
-    config: Config, seeds: Sequence[int], reward: Reward, policy: Policy | None, obs_dim: int
-) -> None:
-    """Raise ValueError unless a run can begin with a reward, and with a policy beside it."""
-    if not isinstance(reward, Reward):
-        raise ValueError(f"pretrained_reward is {reward!r}; expected a Reward")
-    discriminator = config.discriminator
-    if not isinstance(discriminator, DiscriminatorConfig) or discriminator.kind:
-        raise ValueError("a pretrained reward is for runs that learn one, without an ablation")
-    if len(reward) != len(seeds):
-        raise ValueError(
-            f"the pretrained reward has {len(reward)} members for {len(seeds)} seeds: give as many"
-        )
-    sees, hidden = reward.normaliser.mean.shape[-1], reward.net.sizes[1:-1]
-    kind = IMPLEMENTATIONS.get(config.reward)
-    state_only = kind is not None and kind.state_only
-    there, here = (
-        (sees, hidden, reward.state_only),
-        (obs_dim, discriminator.reward_hidden, state_only),
-    )
-    if there != here:
-        raise ValueError(
-            f"the pretrained reward sees {sees} numbers of an observation, has the layers {hidden} "
-            f"and is {'r(s)' if reward.state_only else 'r(s, a)'}; this run's sees {obs_dim}, has "
-            f"{discriminator.reward_hidden} and is {'r(s)' if state_only else 'r(s, a)'}: give "
-            "the settings of the run that it is from"
-        )
-    scales = [] if policy is None else zip(reward.normaliser, policy.normaliser, strict=True)
-    if not all(torch.equal(one, other) for one, other in scales):
-        raise ValueError(
-            "the pretrained policy and the pretrained reward scale observations differently: give "
-            "those of one run, or only one of them"
-        )
-
-
-def _require_reward_fits(config: Config, reward: Reward, obs_dim: int, action_dim: int) -> None:
-    """Raise ValueError if a frozen reward sees other numbers than a run has."""
-    sees = reward.normaliser.mean.shape[-1]
-    takes = reward.net.sizes[0] - sees
-    if sees != obs_dim or takes != action_dim * (not reward.state_only):
-        raise ValueError(
-            f"the frozen reward, of {reward.env_id}, sees {sees} numbers and {takes or 'none'} of "
-            f"an action; with absorbing={config.schedule.absorbing!r}, {config.env_id} gives "
-            f"{obs_dim} and {action_dim}: set absorbing as the reward's run did, or give the "
-            "reward of a task like this one"
-        )
+    return dims

@@ -1,6 +1,5 @@
 """What training reports: evaluations, and the run that they make up."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -10,8 +9,7 @@ import torch
 from offairl_lite.config import Config
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import Episodes, rollout
-from offairl_lite.core.shapes import Metrics
+from offairl_lite.core.rollouts import Episodes
 
 
 class Row(NamedTuple):
@@ -58,9 +56,8 @@ class Run:
         return np.array([[means.get((seed, k), np.nan) for k in self.steps] for seed in self.seeds])
 
     def to_frame(self) -> Any:
-        """Return the learning curves as a pandas DataFrame, a row for each seed and evaluation.
+        """Return a pandas DataFrame, a row for each seed and evaluation, a column for each number.
 
-        Its columns are `run`, `task`, the fields of `Row` but for `returns`, and each metric.
         ImportError says that pandas is not installed.
         """
         try:
@@ -72,45 +69,6 @@ class Run:
         constants = {"run": self.name, "task": self.config.env_id}
         lines = [{**constants, **row._asdict(), **row.metrics} for row in self.rows]
         return DataFrame(lines).drop(columns=["returns", "metrics"], errors="ignore")
-
-
-def evaluate(
-    policy: Policy,
-    reward: Reward | None,
-    seeds: Sequence[int],
-    num_episodes: int,
-    num_threads: int,
-    *,
-    step: int,
-    episodes: Sequence[int],
-    metrics: Metrics,
-) -> list[Row]:
-    """Return a row for each member: its mode's returns, in the same episodes every time.
-
-    Args:
-        policy: of these members, which act on its own task.
-        reward: of these members, if one is learned or frozen.
-        seeds: of these members.
-        num_episodes: of each member.
-        num_threads: of PyTorch and the physics.
-        step: environment steps that training has taken.
-        episodes: of training, of each member.
-        metrics: diagnostics of training, of each member.
-    """
-    played = rollout(policy, policy.env_id, seeds, num_episodes, num_threads=num_threads)
-    learned = learned_returns(played, reward)
-    return [
-        Row(
-            seed,
-            step,
-            int(episodes[i]),
-            float(played.returns[i].mean()),
-            tuple(map(float, played.returns[i])),
-            float(learned[i].mean()),
-            {name: float(value[i]) for name, value in metrics.items()},
-        )
-        for i, seed in enumerate(seeds)
-    ]
 
 
 def learned_returns(episodes: Episodes, reward: Reward | None) -> np.ndarray:

@@ -67,20 +67,25 @@ class Reward(Population):
     params: Params
     normaliser: Normaliser
 
+    @property
+    def sees(self) -> tuple[int, int]:
+        """How many numbers of an observation, as networks see it, and of an action, r sees."""
+        obs_dim = self.normaliser.mean.shape[-1]
+        return obs_dim, self.net.sizes[0] - obs_dim
+
     @torch.no_grad()
     def __call__(self, obs: AnyObs, action: AnyAction | None = None) -> Vector:
         """Return r of the task's observations, also without the absorbing state's indicator.
 
-        A reward of the state alone needs no actions, which are scaled to [-1, 1]. ValueError if
-        they are missing, or either are of another size or type.
+        r(s) needs no actions, which are in [-1, 1]; ValueError if they are missing or do not fit.
         """
         self._require("obs", obs)
-        size = self.normaliser.mean.shape[-1]
-        x = self.normaliser(fit(obs, size, f"the reward of {self.env_id}"))
+        obs_dim, action_dim = self.sees
+        x = self.normaliser(fit(obs, obs_dim, f"the reward of {self.env_id}"))
         if not self.state_only:
             if action is None:
                 raise ValueError(f"reward of {self.env_id} is r(s, a): give it the actions, too")
-            self._require("action", action, x.shape[1], self.net.sizes[0] - size)
+            self._require("action", action, x.shape[1], action_dim)
             x = torch.cat([x, action], -1)
         return self.net(self.params, x).squeeze(-1)
 

@@ -11,8 +11,7 @@ from torch import Generator, Tensor
 class Rng:
     """Generators of `S` members, one for each seed, which is 0 or above.
 
-    What a member draws depends on its seed and on nothing else, so that seed 7 sees the same
-    numbers alone or among ten. Numbers are drawn on the CPU and are the same on every `device`.
+    Seed 7 draws the same alone or among ten, and on every `device`: on the CPU.
     """
 
     def __init__(self, seeds: Sequence[int], device: str | torch.device = "cpu") -> None:

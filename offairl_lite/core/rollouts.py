@@ -14,13 +14,10 @@ from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.rng import Rng
 
-LONGEST = 20_000
-"""Steps by which an episode must end where the task has no time limit."""
+LONGEST = 20_000  #: Steps by which an episode must end where the task has no time limit.
 LARGEST = 1e8
-"""A task's number beyond ±this is taken for a fault: one in the warm-up would scale all others to
-nothing. MuJoCo's robots read hundreds, a 24-bit encoder 1.7e7, hydraulics in Pa 5e7."""
-FAULTY = f"not within ±{LARGEST:g}"
-"""How messages say so."""
+"""A task's number beyond ±this is a fault: MuJoCo's robots read hundreds, hydraulics in Pa 5e7."""
+FAULTY = f"not within ±{LARGEST:g}"  #: How messages say so.
 
 
 def faulty(reading: np.ndarray) -> np.ndarray:
@@ -79,10 +76,9 @@ def episode_seeds(
 def require_actions(policy: Policy, space: Box) -> None:
     """Raise ValueError if a policy gives another number of actions than a task takes."""
     if space.shape != (policy.actor.action_dim,):
-        raise ValueError(
-            f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers, and actions "
-            f"have the shape {space.shape}: choose a task with as many actions"
-        )
+        gives = f"the policy of {policy.env_id} gives {policy.actor.action_dim} numbers"
+        cure = "choose a task with as many actions"
+        raise ValueError(f"{gives}, and actions have the shape {space.shape}: {cure}")
 
 
 def require_fit(policy: Policy, env: envs.BatchedEnv | envs.SerialEnv) -> None:
@@ -107,11 +103,16 @@ def action(
     space: Box,
     noise: Float[np.ndarray, "*B A"] | None = None,
 ) -> Float[np.ndarray, "*B A"]:
-    """Return what a one-member policy does, in the units of the task: its mode, or with `noise`.
+    """Return what a one-member policy does, in the units of the task.
 
-    `obs` is an observation as the task itself gives it, or a batch. `space` is that of the task's
-    actions, `env.action_space`, whose bounds a policy knows as -1 and 1. The noise is standard
-    normal. An action is never NaN, but a ValueError.
+    Args:
+        policy: of one member.
+        obs: an observation as the task itself gives it, or a batch.
+        space: `env.action_space`, whose bounds a policy knows as -1 and 1.
+        noise: standard normal, for a sample; None for the mode.
+
+    Raises:
+        ValueError: there are several members, `obs` does not fit, or an action would be NaN.
     """
     if len(policy) != 1:
         raise ValueError(f"{len(policy)} members for one action; choose one: policy.member(0)")
@@ -144,13 +145,24 @@ def rollout(
     num_threads: int = 1,
     actions: Float[np.ndarray, "S E T A"] | None = None,
 ) -> Episodes:
-    """Run so many whole episodes with each of the S members of a policy, all at the same time.
+    """Run whole episodes with each of the S members of a policy, all at the same time.
 
-    The task need not be the one the policy was trained on. The same seeds, one for each member,
-    give the same episodes (see `episode_seeds`, also for `purpose` and `first`); with more threads,
-    for the physics and PyTorch, they are rounded otherwise. Actions are modes, samples if `sample`
-    is set, or those given. It is a ValueError if seeds, policy and task do not fit, if an episode
-    does not end, or if the task gives an observation or a reward that is NaN, or beyond ±`LARGEST`.
+    The same arguments give the same episodes; other threads round otherwise.
+
+    Args:
+        policy: of S members.
+        env_id: the task.
+        seeds: one for each member.
+        episodes: of each member.
+        sample: whether actions are samples, or modes.
+        purpose: see `episode_seeds`.
+        first: the number of the first episode.
+        num_threads: of the physics and PyTorch.
+        actions: what is done instead.
+
+    Raises:
+        ValueError: seeds, policy and task do not fit, an episode does not end, or the task gives a
+            number that is NaN, or beyond ±`LARGEST`.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):

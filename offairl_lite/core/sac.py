@@ -1,9 +1,8 @@
 """Soft actor-critic (Haarnoja et al. 2018), for a population.
 
 The losses are pure functions in the symbols of the book (chapter 4), with the slips of the paper's
-print mended: the target takes the smaller critic, the entropy term stands inside γ, and a
-termination has no next value. Losses are summed over members and averaged over the batch, so that
-members do not influence one another.
+print mended. They are summed over members, which so do not influence one another, and averaged over
+the batch.
 """
 
 import math
@@ -16,7 +15,7 @@ from offairl_lite.config import SACConfig, TD3Config
 from offairl_lite.core.absorbing import is_absorbing
 from offairl_lite.core.acceleration import is_large, piecewise
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.networks import Adam, TwinCritic, descend, optimizer_states, zeros
+from offairl_lite.core.networks import Adam, TwinCritic, descend, states_of, zeros
 from offairl_lite.core.policies import make_actor
 from offairl_lite.core.replay import Batch, chunks
 from offairl_lite.core.rng import Rng
@@ -33,8 +32,7 @@ from offairl_lite.core.shapes import (
     Vector,
 )
 
-INITIAL_TEMPERATURE = 0.2
-"""Where a learned α begins (released code)."""
+INITIAL_TEMPERATURE = 0.2  #: Where a learned α begins (released code).
 POLICY_DELAY = 2
 """Critic updates for one update of actor, temperature and targets (Arnob 2020, section 3)."""
 
@@ -64,22 +62,17 @@ def actor_loss(log_prob: Vector, q: Vector, alpha: Column) -> Scalar:
 def temperature_loss(
     log_alpha: Column, log_prob: Vector, target_entropy: float, mask: Vector
 ) -> Scalar:
-    """Return J_α = E[-α (log π + H̄)]; it raises α while the entropy is below H̄.
-
-    `mask` is 0 in states where nothing is decided, whose entropy says nothing.
-    """
+    """Return J_α = E[-α (log π + H̄)], which raises α below H̄, where `mask` is 1, not 0."""
     return -(log_alpha.exp() * (mask * (log_prob.detach() + target_entropy))).mean(-1).sum()
 
 
 class OffPolicy:
     """What SAC and TD3 have in common: actor, twin critics and their targets of `S` members.
 
-    Observations come scaled. With `absorbs`, their last number says whether this is the absorbing
-    state. The weights are zeros until `init`.
+    Observations come scaled, last the indicator if it `absorbs`. Weights are zeros until `init`.
     """
 
-    draws = 2
-    """Actions that an update draws in each state: the next ones, and the actor's own."""
+    draws = 2  #: Actions that an update draws in each state: the next ones, and the actor's own.
     value: Callable[[Obs, Action], Vector]
     """Returns V(s) by the target critics, for standard normal noise; each learner's own."""
     update_actor: Callable[[Obs, Action], None]
@@ -94,7 +87,7 @@ class OffPolicy:
         self.target_params = self.critic_params.clone()
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-        trained = optimizer_states(actor=self.actor_optimizer, critic=self.critic_optimizer)
+        trained = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
         # Everything that updates change: the tensors themselves.
         self.state = {"target": self.target_params, **trained}
 
@@ -108,10 +101,7 @@ class OffPolicy:
     def minibatches(
         self, experience: Experience, updates: int, done: int
     ) -> Iterator[tuple[Batch, Noises, bool]]:
-        """Yield the arguments of so many updates, after `done` updates before.
-
-        Every `POLICY_DELAY`-th update has the actor.
-        """
+        """Yield so many updates' arguments, `done` after others; some have the actor."""
         for count in chunks(updates):
             minibatches = experience.minibatches(count)
             size, action_dim = minibatches[0].pre_tanh.shape[1:]
@@ -121,10 +111,7 @@ class OffPolicy:
                 yield minibatch, eps, done % POLICY_DELAY == 0
 
     def update(self, batch: Batch, noise: Noises, update_actor: bool) -> Metrics:
-        """Train the critics and, every so often, the actor; then the targets follow.
-
-        `noise` is standard normal: that of the next actions and that of the actor's own.
-        """
+        """Train the critics and, every so often, the actor; then the targets follow."""
         target = self.target(batch, noise[0])
         q = self.critic(self.critic_params, batch.obs, batch.action)
         descend(self.critic_loss(q, target, batch.obs, noise[-1]), self.critic_optimizer)
@@ -146,10 +133,7 @@ class OffPolicy:
         return bellman_target(batch.reward, batch.terminated, next_value, self.config.discount)
 
     def mask_absorbing(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
-        """Return actions (as `pre_tanh`) and log π, with 0 for both in the absorbing state.
-
-        What is done there is done with certainty, and no gradient comes back from it.
-        """
+        """Return actions and log π, both 0, without a gradient, in the absorbing state."""
         if not self.absorbs:
             return decided
         ended = is_absorbing(obs)
@@ -169,7 +153,7 @@ class SAC(OffPolicy):
         wanted = config.target_entropy
         self.target_entropy = -float(self.actor.action_dim) if wanted is None else wanted
         self.alpha_optimizer = Adam(self.log_alpha, config.learning_rate)
-        self.state |= optimizer_states(alpha=self.alpha_optimizer)
+        self.state |= states_of(alpha=self.alpha_optimizer)
 
     @torch.no_grad()
     def log_prob(self, actor_params: Params, obs: Obs, pre_tanh: Action) -> Vector:

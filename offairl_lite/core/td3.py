@@ -1,7 +1,6 @@
 """Twin delayed deterministic policy gradient (Fujimoto et al. 2018), for a population.
 
-DAC's learner and one of the paper's candidates for an expert. It differs from SAC in what it
-adds to the next action, a clipped noise that smooths the critic, and in having no entropy.
+It differs from SAC in the clipped noise on the next action, and in having no entropy.
 """
 
 import torch

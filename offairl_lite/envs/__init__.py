@@ -1,13 +1,7 @@
 """Environments: the paper's eight tasks, stepped in batches, and any other Gymnasium task.
 
-Importing this package registers its own tasks with Gymnasium, for `gymnasium.make` and
-`gymnasium.make_vec`:
-
-- `offairl/PointMazeLeft-v0`, `offairl/PointMazeRight-v0`: the shifting maze;
-- `offairl/CustomAnt-v0`, `offairl/DisabledAnt-v0`: the ant, and the ant with two weak legs;
-- `offairl/DisabledAntReleased-v0`: DisabledAnt with its actuators in the released code's order;
-- `offairl/PointMarsh-v0`, `offairl/PointMarshWest-v0`: a marsh, costly to cross, instead of the
-  barrier, with two different starts.
+Importing this package registers its own, the ids of `TASKS` that begin with `offairl/`, for
+`gymnasium.make` and `gymnasium.make_vec`.
 """
 
 import importlib
@@ -69,10 +63,7 @@ class SingleEnv(gymnasium.Env):
 
 
 class OneHotActions(gymnasium.ActionWrapper, RecordConstructorArgs):
-    """A task with n discrete actions, as one with n numbers in [-1, 1]: the largest is chosen.
-
-    `encode` turns recorded actions into such numbers.
-    """
+    """A task with n discrete actions as one with n numbers in [-1, 1]: the largest is chosen."""
 
     def __init__(self, env: gymnasium.Env):
         RecordConstructorArgs.__init__(self)
@@ -111,8 +102,7 @@ def spec(env_id: str) -> EnvSpec:
         raise ModuleNotFoundError(f"{env_id}: {error}; {cure}") from error
     except gymnasium.error.Error as error:
         near = " or ".join(get_close_matches(name, gymnasium.registry))
-        near = f"; did you mean {near}?" if near else ""
-        why = f"unknown environment {env_id!r}"
+        near, why = f"; did you mean {near}?" if near else "", f"unknown environment {env_id!r}"
         if module:
             file = getattr(sys.modules[module], "__file__", module)
             raise ValueError(f"{why}: {file} does not register {name!r}{near}") from error
@@ -150,8 +140,7 @@ def register(env: AnyTask, env_id: str | None = None) -> str:
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
     """Return a task's spaces; ValueError unless both are boxes with one axis, or can be made so.
 
-    Observations that are dictionaries are flattened. The action space must consist of floats with
-    finite bounds, low < high. The message says how to wrap a task that has others.
+    Dictionaries of observations are flattened; actions must be floats with finite bounds.
     """
     if isinstance(observation_space, Dict):
         observation_space = flatten_space(observation_space)
@@ -246,18 +235,22 @@ def make(
 ) -> BatchedEnv | SerialEnv:
     """Return a vector environment with one member per seed, without automatic resets.
 
-    `env_id` is a key of `TASKS`, or the id of any Gymnasium environment with flat `Box` spaces, or
-    dictionaries of observations, which are flattened. Its members are then stepped one after
-    another; so are Gymnasium's of `TASKS` with MuJoCo 3. A single seed s stands for s, s + 1, ...
-
-    Members start when the first `reset()` is called. A finished member must be reset, with
+    Members start when the first `reset()` is called. A finished one must be reset, with
     `reset(options={"reset_mask": finished})`, before the next `step`. Actions range from -1 to 1 in
-    every dimension, and are rescaled for an environment with other bounds. `get_state()` returns
-    arrays from which `set_state(state)` continues exactly, here or in another environment made with
-    the same id and population. With `"rgb_array"` for a `render_mode`, `render()` returns frames.
+    every dimension. `get_state()` returns arrays from which `set_state(state)` continues exactly,
+    here or in another environment made with the same id and population.
 
-    It is a ValueError if an argument is not as above, or see `spec` and `require_boxes`, and a
-    TaskError if the task's own code has failed.
+    Args:
+        env_id: a key of `TASKS`, or any Gymnasium id with flat `Box` spaces, or dictionaries of
+            observations, which are flattened; members of those are stepped one after another.
+        population: number of members.
+        seed: one for each, or s for s, s + 1, ...
+        num_threads: of the batched physics.
+        render_mode: `"rgb_array"`, for frames by `render()`.
+
+    Raises:
+        ValueError: an argument is not as above, or see `spec` and `require_boxes`.
+        TaskError: the task's own code has failed.
     """
     for name, count in (("population", population), ("num_threads", num_threads)):
         checked(name, count, Count)

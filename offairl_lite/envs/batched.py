@@ -20,21 +20,17 @@ try:
     from mujoco.batch import Batch
 except ImportError:  # MuJoCo 3 has no batches.
     Batch = None
-FRAME_SIZE = 240
-"""Width and height of a rendered frame, in pixels."""
+FRAME_SIZE = 240  #: Width and height of a rendered frame, in pixels.
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv):
-    """A vector environment whose members share a model and nothing else.
+    """A vector environment of a key of `TASKS`, whose members share a model and nothing else.
 
-    Every member has its own random generator, so its episodes depend neither on how many other
-    members there are nor on the number of threads. Observations are float64, `(num_envs, O)`;
-    actions float32, `(num_envs, A)`. As in Gymnasium's MuJoCo tasks, MuJoCo clamps an action beyond
-    the bounds, and the reward is charged for it in full. A member that has not been reset, or whose
-    episode has ended, is reset by `step` in mode `NEXT_STEP`, and is an error in mode `DISABLED`.
-
-    `task` is a key of `TASKS`. Without `seeds`, one per member, they are taken from the system, and
-    without `max_episode_steps` the task's own time limit holds. `render_mode` may be `"rgb_array"`.
+    A member's episodes depend neither on how many others there are nor on the number of threads.
+    Observations are float64, `(num_envs, O)`; actions float32, `(num_envs, A)`. As in Gymnasium's
+    MuJoCo tasks, MuJoCo clamps an action beyond the bounds, and the reward is charged for it in
+    full. A member without an episode is reset by `step` in mode `NEXT_STEP`, and is an error in
+    mode `DISABLED`. Without `seeds`, one per member, they are taken from the system.
     """
 
     # In the base class a property; here the members' generators, as in Gymnasium's SyncVectorEnv.
@@ -56,10 +52,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         if task not in TASKS:
             raise ValueError(f"unknown task {task!r}; known are {', '.join(TASKS)}")
         if Batch is None:
-            raise ImportError(
-                f"{task} is stepped in batches, by MuJoCo 4, and here is MuJoCo "
-                f"{mujoco.__version__}: pip install 'mujoco>=4'"
-            )
+            here = f"by MuJoCo 4, and here is MuJoCo {mujoco.__version__}"
+            raise ImportError(f"{task} is stepped in batches, {here}: pip install 'mujoco>=4'")
         for name, count in (("num_envs", num_envs), ("num_threads", num_threads)):
             checked(name, count, Count)
         if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
@@ -102,9 +96,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     ) -> tuple[np.ndarray, dict]:
         """Start new episodes; return the observations of all members, and an empty dictionary.
 
-        A number s seeds member i with s + i, and a sequence gives each member a seed, or None, with
-        which its generator continues. The options `{"reset_mask": mask}`, with a mask `(num_envs,)`
-        bool, reset the marked members alone.
+        A number s seeds member i with s + i, a sequence each with its own, or None: its generator
+        continues. With the options `{"reset_mask": mask}` the marked members alone are reset.
         """
         mask, generators = reset_mask(options, self.num_envs), list(self.np_random)
         for member, new_seed in enumerate(member_seeds(seed, self.num_envs)):
@@ -117,9 +110,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step; in mode NEXT_STEP, reset the finished members instead.
 
-        Terminated says that the task has ended the episode, truncated that the time limit has. For
-        a member that is reset by this step, the reward is 0 and both are False. It is a ValueError
-        if `actions` are not finite, and in mode DISABLED a RuntimeError to step a finished member.
+        Their reward is then 0, terminated and truncated are False. ValueError if `actions` are not
+        finite; RuntimeError, in mode DISABLED, if a member is finished.
         """
         actions, idle = checked_actions(actions, self), self._idle
         if self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
@@ -162,12 +154,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         """Return the frames of all members, each (FRAME_SIZE, FRAME_SIZE, 3) uint8."""
         if self.render_mode is None:
             raise RuntimeError("make the environment with render_mode='rgb_array' to render it")
-        return tuple(map(self._frame, range(self.num_envs)))
-
-    def _frame(self, member: int) -> np.ndarray:
-        data = self._batch.get_data(member, self._scratch)
-        mujoco.mj_kinematics(self._model, data)
-        return render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera)
+        frames = []
+        for member in range(self.num_envs):
+            data = self._batch.get_data(member, self._scratch)
+            mujoco.mj_kinematics(self._model, data)
+            frames.append(render(self._model, data, FRAME_SIZE, FRAME_SIZE, self.task.camera))
+        return tuple(frames)
 
     def _start(self, members: np.ndarray) -> None:
         """Start new episodes of some members, with draws from their own generators."""
@@ -182,11 +174,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._idle[members] = False
 
     def _measure(self, moved: np.ndarray, stepped: bool) -> None:
-        """Update physics and observations after some members have been stepped or reset.
-
-        Torso and contact are by-products of a step and not part of MuJoCo's state: for the other
-        members they stay as they were.
-        """
+        """Update physics and observations after members have been stepped or reset."""
         torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
         torso[moved] = self._xpos[moved, 1, :2]
         contact[moved] = 0.0
@@ -205,15 +193,11 @@ def checked_actions(actions: np.ndarray, env: gymnasium.vector.VectorEnv) -> np.
     """Return the actions of all members; ValueError unless they fit the space and are finite."""
     actions, shape = np.asarray(actions), env.action_space.shape
     if actions.shape != shape or actions.dtype.kind not in "fiu":
-        raise ValueError(
-            f"actions must be numbers of shape {shape}, "
-            f"not {actions.dtype} of shape {actions.shape}"
-        )
+        actual = f"{actions.dtype} of shape {actions.shape}"
+        raise ValueError(f"actions must be numbers of shape {shape}, not {actual}")
     for member, joint in np.argwhere(~np.isfinite(actions)):
-        raise ValueError(
-            f"member {member}: action[{joint}] is {actions[member, joint]}; "
-            f"actions must be finite, within {env.single_action_space}"
-        )
+        wrong = f"action[{joint}] is {actions[member, joint]}"
+        raise ValueError(f"member {member}: {wrong}; actions must be finite, in {env.action_space}")
     return actions
 
 
@@ -235,20 +219,17 @@ def reset_mask(options: dict | None, num_envs: int) -> np.ndarray:
     mask = options["reset_mask"]
     valid = isinstance(mask, np.ndarray) and mask.dtype == bool
     if not valid or mask.shape != (num_envs,) or not mask.any():
-        raise ValueError(
-            f"reset_mask must be a boolean array of shape ({num_envs},) with a member to reset, "
-            f"not {mask!r}"
-        )
+        wanted = f"a boolean array of shape ({num_envs},) with a member to reset"
+        raise ValueError(f"reset_mask must be {wanted}, not {mask!r}")
     return mask
 
 
 def require_episodes(idle: np.ndarray) -> None:
     """Raise RuntimeError if a member has no episode in progress."""
     if idle.any():
-        raise RuntimeError(
-            f"members {np.flatnonzero(idle).tolist()} have no episode in progress: reset them "
-            "with reset(options={'reset_mask': mask}) before the next step"
-        )
+        gone = np.flatnonzero(idle).tolist()
+        cure = "reset them with reset(options={'reset_mask': mask}) before the next step"
+        raise RuntimeError(f"members {gone} have no episode in progress: {cure}")
 
 
 def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) -> None:
@@ -261,17 +242,12 @@ def require_layout(state: dict[str, np.ndarray], like: dict[str, np.ndarray]) ->
 
 
 def generator_words(generators: Sequence[np.random.Generator], owner) -> np.ndarray:
-    """Return the states of PCG64 generators, (n, 6) uint64.
-
-    A row holds two numbers of 128 bits, each as its high and its low word, and a spare draw.
-    """
+    """Return states of PCG64 generators, (n, 6) uint64: high and low words, and a spare draw."""
     rows = []
     for rng in generators:
         if not isinstance(getattr(rng, "bit_generator", None), np.random.PCG64):
-            raise ValueError(
-                f"{owner}: expected members whose np_random is a numpy.random.Generator with "
-                f"PCG64, as Gymnasium makes it, got {rng!r}"
-            )
+            wanted = "a numpy.random.Generator with PCG64, as Gymnasium makes it"
+            raise ValueError(f"{owner}: expected members whose np_random is {wanted}, got {rng!r}")
         state = rng.bit_generator.state
         words = [word for name in ("state", "inc") for word in divmod(state["state"][name], 2**64)]
         rows.append([*words, state["has_uint32"], state["uinteger"]])

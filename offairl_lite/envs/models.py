@@ -1,9 +1,7 @@
 """MuJoCo models of the shifting maze, the marsh, and the ants with four and with two good legs.
 
-The marsh is this package's own. The maze and the ants are those of Fu, Luo and Levine, "Learning
-Robust Rewards with Adversarial Inverse Reinforcement Learning" (2018), as used by Arnob,
-"Off-Policy Adversarial Inverse Reinforcement Learning" (2020). Lengths are in metres, angles in
-degrees, time in seconds.
+The maze and the ants are those of Fu, Luo and Levine (2018), as used by Arnob (2020); the marsh is
+this package's own. Lengths are in metres, angles in degrees, time in seconds.
 """
 
 from typing import Literal
@@ -14,29 +12,17 @@ from mujoco import mjtGeom, mjtIntegrator, mjtJoint, mjtLimited, mjtTrn
 
 Side = Literal["Left", "Right"]
 
-LENGTH = 0.6
-"""Upper end of the maze in x and y; the lower end is at -0.1."""
-START = np.array([LENGTH / 2, 0.0])
-"""Where the particle starts, (2,)."""
-GOAL = np.array([LENGTH / 2, LENGTH - 0.1])
-"""Centre of the target, (2,)."""
-MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])
-"""Lower and upper corner of the marsh, (2, 2)."""
+LENGTH = 0.6  #: Upper end of the maze in x and y; the lower end is at -0.1.
+START = np.array([LENGTH / 2, 0.0])  #: Where the particle starts, (2,).
+GOAL = np.array([LENGTH / 2, LENGTH - 0.1])  #: Centre of the target, (2,).
+MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])  #: Lower and upper corner of the marsh, (2, 2).
 WEST = np.array([0.05, 0.0])
 """Another start, from which the straight way to the goal crosses the marsh as well, (2,)."""
 PARTICLE_RADIUS = 0.03
-WALL_RADIUS = 0.02
-"""Half the thickness of a wall."""
+WALL_RADIUS = 0.02  #: Half the thickness of a wall.
 
-_PARTICLE = (0.13, 0.35, 0.85, 1.0)
-_TARGET = (0.10, 0.75, 0.25, 1.0)
-_BORDER = (0.62, 0.64, 0.70, 1.0)
-_BARRIER = (0.90, 0.45, 0.35, 1.0)
 _GROUND = (0.90, 0.90, 0.87, 1.0)
-_MARSH = (0.62, 0.72, 0.60, 1.0)
 _ANT = (0.85, 0.62, 0.38, 1.0)
-_WEAK_LEG = (0.75, 0.25, 0.22, 1.0)
-_WHITE = (1.0, 1.0, 1.0, 1.0)
 _BLACK = (0.05, 0.05, 0.05, 1.0)
 _UNTOUCHED = {"contype": 0, "conaffinity": 0}
 
@@ -51,10 +37,9 @@ _BACK_LEGS = (3, 4)
 
 
 def walls(side: Side | None) -> np.ndarray:
-    """Return the centre lines of the maze's walls: four borders, then the barrier.
+    """Return the maze's walls as segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y).
 
-    They are segments `(4 or 5, 2, 2)`: wall, end, coordinate (x, y). The barrier is attached on a
-    side, so that `"Left"` leaves the gap on the right; with None there is none.
+    Four borders, then the barrier, attached on a side: `"Left"` leaves the gap on the right.
     """
     if side not in ("Left", "Right", None):
         raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
@@ -68,11 +53,9 @@ def walls(side: Side | None) -> np.ndarray:
 
 
 def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
-    """Return a particle, pushed in the plane, in a box with a target.
+    """Return a particle in a box with a target and a barrier or, with None for a side, the marsh.
 
-    A barrier, attached on a side, makes the shifting maze; with None for a side there is the marsh
-    instead, which stops nothing. `qpos` is the particle's displacement from `start`, (2,), `ctrl`
-    the force along x and y in newtons, each limited to [-1, 1].
+    `qpos` is its displacement from `start`, (2,), `ctrl` the force along x and y, in newtons.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.01
@@ -84,16 +67,18 @@ def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
     spec.default.joint.damping[0] = 1
 
     body = spec.worldbody.add_body(name="particle", pos=(*start, 0))
-    solid = {"contype": 1, "density": 1000, "rgba": _PARTICLE}
+    solid = {"contype": 1, "density": 1000, "rgba": (0.13, 0.35, 0.85, 1)}
     body.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(PARTICLE_RADIUS, 0, 0), **solid)
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
         body.add_joint(name=name, type=mjtJoint.mjJNT_SLIDE, axis=axis)
         _add_motor(spec, name, gear=1)
 
     target = spec.worldbody.add_body(name="target", pos=(*GOAL, 0))
-    target.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), rgba=_TARGET, **_UNTOUCHED)
+    target.add_geom(
+        type=mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), rgba=(0.1, 0.75, 0.25, 1), **_UNTOUCHED
+    )
     for index, (end, other) in enumerate(walls(side)):
-        colour = _BARRIER if index == 4 else _BORDER
+        colour = (0.9, 0.45, 0.35, 1) if index == 4 else (0.62, 0.64, 0.7, 1)
         _add_capsule(spec.worldbody, (*end, 0.01), (*other, 0.01), WALL_RADIUS, colour)
     # The ground is only drawn: gravity is off and nothing touches it. It is a body of its own
     # because MuJoCo's rays miss a plane beyond the bounds of the body's other shapes.
@@ -102,15 +87,16 @@ def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
     if side is None:
         low, high = MARSH
         place = {"pos": (*(low + high) / 2, -PARTICLE_RADIUS), "size": (*(high - low) / 2, 0.001)}
-        spec.worldbody.add_geom(type=mjtGeom.mjGEOM_BOX, rgba=_MARSH, **place, **_UNTOUCHED)
+        spec.worldbody.add_geom(
+            type=mjtGeom.mjGEOM_BOX, rgba=(0.62, 0.72, 0.6, 1), **place, **_UNTOUCHED
+        )
     return spec.compile()
 
 
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     """Return the ant with motors of gear 30; if disabled, its back legs are short and weak.
 
-    Weak legs have half a thigh and half a shin, and motors of gear 1. An action drives the legs 1
-    to 4 in the order of `actuator_legs`, hip before ankle.
+    An action drives the legs in the order of `actuator_legs`, hip before ankle.
     """
     if sorted(actuator_legs) != sorted(_LEGS):
         raise ValueError(f"actuator_legs must order the legs 1, 2, 3, 4, not {actuator_legs}")
@@ -132,7 +118,7 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
 
     for leg, (direction, ankle_axis, ankle_range) in _LEGS.items():
         weak = disabled and leg in _BACK_LEGS
-        colour = _WEAK_LEG if weak else _ANT
+        colour = (0.75, 0.25, 0.22, 1) if weak else _ANT
         x, y = 0.2 * np.array(direction)
         scale = 0.5 if weak else 1.0
         thigh, shin = (scale * x, scale * y, 0), (2 * scale * x, 2 * scale * y, 0)
@@ -157,7 +143,7 @@ def _add_eyes(torso) -> None:
     depth, height = -0.21, 0.1
     for sign in (1, -1):
         x = 0.07 * sign
-        _add_capsule(torso, (x, 0, height), (x, depth, height), 0.03, _WHITE)
+        _add_capsule(torso, (x, 0, height), (x, depth, height), 0.03, (1.0, 1.0, 1.0, 1))
         _add_capsule(torso, (x, 0, height), (x, depth - 0.02, height), 0.02, _BLACK)
         inner = (x - 0.03 * sign, depth, height + 0.07)
         outer = (x + 0.03 * sign, depth, height + 0.1)

@@ -1,7 +1,4 @@
-"""Frames of a MuJoCo simulation, drawn by casting rays on the CPU without a graphics library.
-
-A frame is a pure function of model, state and camera: every call returns the same bytes.
-"""
+"""Frames of a MuJoCo simulation, cast by rays on the CPU: always the same bytes."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,45 +11,40 @@ import numpy as np
 _SAMPLES = 2
 _LAMPS = np.array([[-0.55, -0.5, 1], [-0.43, -0.5, 1], [-0.49, -0.56, 1], [-0.49, -0.44, 1]])
 _LAMPS /= np.linalg.norm(_LAMPS, axis=1, keepdims=True)
-_LAMP_DISTANCE = 50.0
 
 _ZENITH = np.array([0.36, 0.56, 0.85])
 _HORIZON = np.array([0.84, 0.90, 0.96])
 _TILES = np.array([[0.56, 0.62, 0.70], [0.69, 0.75, 0.82]])
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 
 
 class Camera(NamedTuple):
     """The camera of a frame; lengths in metres, angles in degrees."""
 
-    lookat: tuple[float, float, float]
-    """The point (x, y, z) in the middle of the frame."""
-    distance: float
-    """From the eye to `lookat`."""
-    azimuth: float = 90.0
-    """Direction of view in the ground plane; 90 looks along +y."""
-    elevation: float = -15.0
-    """Angle of view above the ground plane; negative looks down."""
-    body: int = 0
-    """The body with which `lookat` moves along x and y; 0, the world, does not move."""
+    lookat: tuple[float, float, float]  #: The point (x, y, z) in the middle of the frame.
+    distance: float  #: From the eye to `lookat`.
+    azimuth: float = 90.0  #: Direction of view in the ground plane; 90 looks along +y.
+    elevation: float = -15.0  #: Angle of view above the ground plane; negative looks down.
+    body: int = 0  #: The body with which `lookat` moves along x and y; 0, the world, does not move.
     tiles: bool = True
     """Whether planes are a checker board, which shows motion, instead of in their own colour."""
-    field_of_view: float = 40.0
-    """Vertical field of view."""
+    field_of_view: float = 40.0  #: Vertical field of view.
 
 
 def render(
     model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, camera: Camera
 ) -> np.ndarray:
-    """Return one frame, `(height, width, 3)` uint8, of `width` times `height` pixels.
-
-    The kinematics of `data`, a state of `model`, must be current, see `mujoco.mj_kinematics`.
-    """
+    """Return one frame, `(height, width, 3)` uint8; the kinematics of `data` must be current."""
     centre = np.array(camera.lookat)
     centre[:2] += data.xpos[camera.body, :2]
     eye = centre - camera.distance * _axes(camera)[0]
-    lamps = centre + _LAMP_DISTANCE * _LAMPS
-    palette = np.concatenate([_surface_colours(model), _TILES])
+    lamps = centre + 50 * _LAMPS
+    # The colour of each geom, or of its material if it has none itself.
+    rgba = model.geom_rgba.copy()
+    unpainted = (model.geom_matid >= 0) & (rgba == np.array([0.5, 0.5, 0.5, 1], np.float32)).all(
+        axis=1
+    )
+    rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]
+    palette = np.concatenate([rgba[:, :3], _TILES])
     floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & camera.tiles
     total = np.zeros((height * width, 3))
     for lamp, directions in zip(lamps, _rays(width, height, camera), strict=True):
@@ -121,11 +113,3 @@ def _rays(width: int, height: int, camera: Camera) -> np.ndarray:
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     rays = rays.reshape(height, _SAMPLES, width, _SAMPLES, 3).transpose(1, 3, 0, 2, 4)
     return rays.reshape(_SAMPLES**2, height * width, 3)
-
-
-def _surface_colours(model) -> np.ndarray:
-    """Return the colour of each geom, or of its material if it has none itself, (geoms, 3)."""
-    rgba = model.geom_rgba.copy()
-    unpainted = (model.geom_matid >= 0) & (rgba == _DEFAULT_RGBA).all(axis=1)
-    rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]
-    return rgba[:, :3]

@@ -16,16 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import rescale_box
 
-from offairl_lite.envs.batched import (
-    Step,
-    checked_actions,
-    generator_words,
-    member_seeds,
-    require_episodes,
-    require_layout,
-    reset_mask,
-    set_generator_words,
-)
+from offairl_lite.envs import batched
 
 
 class TaskError(RuntimeError):
@@ -34,10 +25,7 @@ class TaskError(RuntimeError):
 
 @contextmanager
 def own_code(task: object, what: str) -> Iterator[None]:
-    """Turn an exception of a task's own code into a TaskError.
-
-    Gymnasium's errors and failed imports pass unchanged: their messages say what to do.
-    """
+    """Turn an exception of a task's own code into a TaskError, but none that says what to do."""
     try:
         yield
     except (gymnasium.error.Error, ImportError):
@@ -66,22 +54,17 @@ def _explained(error: Exception) -> str:
 def as_reward(task: object, reward: object) -> float:
     """Return a task's reward as a number; ValueError if it is none."""
     if reward is None or np.ndim(reward) or np.asarray(reward).dtype.kind not in "biuf":  # type: ignore
-        raise ValueError(
-            f"{task}: its step has returned {reward!r} for a reward; expected a number, 0.0 where "
-            "there is none"
-        )
+        wrong = f"its step has returned {reward!r} for a reward"
+        raise ValueError(f"{task}: {wrong}; expected a number, 0.0 where there is none")
     return float(reward)  # type: ignore[arg-type]
 
 
 class SerialEnv(SyncVectorEnv):
-    """Members of one task with the actions, seeds and saved states of a `BatchedEnv`.
+    """New `members` of one task with the actions, seeds and saved states of a `BatchedEnv`.
 
-    The variables inside a member are unknown. Its state is therefore the state of its random
-    generator before the reset, and the actions since then; it is restored by playing the episode
-    again. Actions from -1 to 1 are converted to the type and the units of the task.
-
-    `members` are new environments of one task, `units` their action space, as `require_boxes`
-    returns it, and `seeds` are for their first resets.
+    The variables inside a member are unknown. Its state is therefore that of its random generator
+    before the reset, and the actions since then; it is restored by playing the episode again.
+    Actions from -1 to 1 are converted to `units`, the task's own. `seeds` are for first resets.
     """
 
     single_observation_space: Box
@@ -106,46 +89,44 @@ class SerialEnv(SyncVectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
         """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
-        mask, seeds = reset_mask(options, self.num_envs), member_seeds(seed, self.num_envs)
+        mask, seeds = (
+            batched.reset_mask(options, self.num_envs),
+            batched.member_seeds(seed, self.num_envs),
+        )
         for i in np.flatnonzero(mask).tolist():
             self._begin(i, self._seeds[i] if seeds[i] is None else seeds[i])
         del self._actions[: len(self._actions) - self._clock.max()]
         return self._last.copy(), {}
 
-    def step(self, actions: np.ndarray) -> Step:
+    def step(self, actions: np.ndarray) -> batched.Step:
         """Advance every member by one step, as `BatchedEnv.step`; TaskError if the task fails."""
-        require_episodes(self._idle)
-        self._actions.append(checked_actions(actions, self).astype(self._units.dtype))
+        batched.require_episodes(self._idle)
+        self._actions.append(batched.checked_actions(actions, self).astype(self._units.dtype))
         ends = [self._advance(i, action) for i, action in enumerate(self._actions[-1])]
         rewards, terminated, truncated = zip(*ends, strict=True)
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return everything that later steps depend on, as arrays for `set_state`.
-
-        The episode of a member has the last `clock` rows of `actions`. It is a ValueError if a
-        member's `np_random` is not a PCG64 generator.
-        """
+        """Return arrays for `set_state`; a member's episode has the last `clock` actions."""
         actions = np.array(self._actions, self._units.dtype)
         return {
-            "starts": generator_words(self._starts, self),
+            "starts": batched.generator_words(self._starts, self),
             "actions": actions.reshape(-1, self.num_envs, *self._units.shape),
             "clock": self._clock.copy(),
             "idle": self._idle.copy(),
             "observations": self._last.copy(),
-            "generators": generator_words(self.np_random, self),
+            "generators": batched.generator_words(self.np_random, self),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue exactly from a state that `get_state` returned, here or in another environment.
 
-        It is a ValueError if the state is of another task or number of members; or if the episodes
-        come out differently when they are played again, and the environment must then be reset.
+        ValueError if it is of another task, or if its episodes come out differently here.
         """
         like, steps = self.get_state(), np.shape((state or {}).get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)
-        require_layout(state, like)
-        set_generator_words(self.np_random, state["starts"])
+        batched.require_layout(state, like)
+        batched.set_generator_words(self.np_random, state["starts"])
         self._seeds, self._starts = [None] * self.num_envs, deepcopy(list(self.np_random))
         self._last, self._actions = state["observations"].copy(), list(state["actions"].copy())
         self._clock, self._idle = np.zeros_like(state["clock"]), np.ones_like(state["idle"])
@@ -190,8 +171,8 @@ class SerialEnv(SyncVectorEnv):
         """Keep a member's observation; ValueError if it does not fit the space."""
         shape, expected = np.shape(observation), self.single_observation_space.shape
         if shape != expected:
-            raise ValueError(
-                f"an observation has the shape {shape}; expected {expected}, as "
-                "observation_space says (reset returns observation, info)"
+            why = (
+                f"expected {expected}, as observation_space says (reset returns observation, info)"
             )
+            raise ValueError(f"an observation has the shape {shape}; {why}")
         np.stack([observation], out=self._last[i : i + 1])

@@ -1,8 +1,7 @@
 """The tasks, each defined once, for n simulations along a leading axis.
 
 The mazes and the ants with strong and with weak legs follow Arnob (2020). Half cheetah, hopper,
-walker and ant equal the `v5` environments of Gymnasium with their default arguments to the last
-bit: operations, and random draws at a reset, have the same order. The marsh is this package's own.
+walker and ant equal Gymnasium's `v5` to the last bit: operations and draws have the same order.
 """
 
 from collections.abc import Callable
@@ -22,10 +21,8 @@ from offairl_lite.envs.raycast import Camera
 class Physics(NamedTuple):
     """The state from which observations and rewards are computed, for n simulations."""
 
-    qpos: np.ndarray
-    """Generalised positions, (n, nq)."""
-    qvel: np.ndarray
-    """Generalised velocities, (n, nv)."""
+    qpos: np.ndarray  #: Generalised positions, (n, nq).
+    qvel: np.ndarray  #: Generalised velocities, (n, nv).
     torso: np.ndarray
     """x and y of body 1 as MuJoCo leaves them after a step, one substep late, (n, 2)."""
     contact: np.ndarray
@@ -48,29 +45,18 @@ class Task:
     camera: Camera
     noise: Noise
     """Draws what a reset adds to the model's `qpos0`, (nq,), and to zero velocity, (nv,)."""
-    observe: Callable[[Physics], np.ndarray]
-    """Physics -> observations, (n, O) float64."""
+    observe: Callable[[Physics], np.ndarray]  #: Physics -> observations, (n, O) float64.
     reward: Callable[[Physics, np.ndarray, Physics, float], np.ndarray]
     """Physics before, actions (n, A), physics after, seconds in between -> (n,) float64."""
     terminated: Callable[[Physics], np.ndarray] = _never
     """Physics -> whether the task itself has ended the episode, (n,) bool."""
-    frame_skip: int = 5
-    """Physics steps in one environment step."""
+    frame_skip: int = 5  #: Physics steps in one environment step.
     max_episode_steps: int = 1000
-    contact_forces: bool = False
-    """Whether `Physics.contact` is computed."""
-
-
-def _uniform(rng, model):
-    return rng.uniform(-5e-3, 5e-3, model.nq), rng.uniform(-5e-3, 5e-3, model.nv)
+    contact_forces: bool = False  #: Whether `Physics.contact` is computed.
 
 
 def _uniform_and_normal(rng, model):
     return rng.uniform(-0.1, 0.1, model.nq), 0.1 * rng.standard_normal(model.nv)
-
-
-def _maze_noise(rng, model):
-    return np.zeros(model.nq), rng.uniform(-0.01, 0.01, model.nv)
 
 
 def _effort(actions: np.ndarray) -> np.ndarray:
@@ -95,11 +81,6 @@ def in_marsh(position: np.ndarray) -> np.ndarray:
     low, high = models.MARSH
     position = position[..., :2]
     return ((position > low) & (position < high)).all(-1)
-
-
-def _custom_ant_reward(before, actions, after, seconds):
-    flipped = after.qpos[:, 2] < 0.2
-    return before.qvel[:, 0] - 0.01 * _effort(actions) - _impact(after) - flipped
 
 
 def _hopper_healthy(physics: Physics) -> np.ndarray:
@@ -148,9 +129,12 @@ def _point(start: np.ndarray, side: models.Side | None = None) -> Task:
         distance = np.linalg.norm(position - models.GOAL, axis=1)
         return -distance - 0.001 * _effort(actions) - marsh_cost * in_marsh(position)
 
+    def noise(rng, model):
+        return np.zeros(model.nq), rng.uniform(-0.01, 0.01, model.nv)
+
     camera = Camera(lookat=(0.25, 0.24, 0.0), distance=1.18, elevation=-72, tiles=False)
     model = partial(models.particle, start, side)
-    return Task(model, camera, _maze_noise, observe, reward, max_episode_steps=100)
+    return Task(model, camera, noise, observe, reward, max_episode_steps=100)
 
 
 def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminated=_never) -> Task:
@@ -164,7 +148,11 @@ def _ant(model: Callable[[], mujoco.MjModel], first_body: int, reward, terminate
 
 
 def _custom_ant(disabled: bool, actuator_legs: tuple[int, ...]) -> Task:
-    return _ant(partial(models.ant, disabled, actuator_legs), 0, _custom_ant_reward)
+    def reward(before, actions, after, seconds):
+        flipped = after.qpos[:, 2] < 0.2
+        return before.qvel[:, 0] - 0.01 * _effort(actions) - _impact(after) - flipped
+
+    return _ant(partial(models.ant, disabled, actuator_legs), 0, reward)
 
 
 def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
@@ -174,12 +162,12 @@ def _biped(file: str, healthy: Callable[[Physics], np.ndarray]) -> Task:
     def reward(before, actions, after, seconds):
         return _forward(before, after, seconds) + healthy(after) - 1e-3 * _effort(actions)
 
-    def terminated(physics):
-        return ~healthy(physics)
+    def noise(rng, model):
+        return rng.uniform(-5e-3, 5e-3, model.nq), rng.uniform(-5e-3, 5e-3, model.nv)
 
-    model = partial(_gymnasium_model, file)
+    model, ended = partial(_gymnasium_model, file), lambda physics: ~healthy(physics)
     camera = Camera(lookat=(0.0, 0.0, 0.8), distance=3.2, elevation=-12, body=1)
-    return Task(model, camera, _uniform, observe, reward, terminated, frame_skip=4)
+    return Task(model, camera, noise, observe, reward, ended, frame_skip=4)
 
 
 def _half_cheetah() -> Task:

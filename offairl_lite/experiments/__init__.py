@@ -20,10 +20,7 @@ def find(name: str) -> Experiment:
 
 
 def configure(run: str, scale: Scale) -> Config:
-    """Return the configuration of a run, `EXPERIMENT` or `EXPERIMENT/VARIANT`.
-
-    If there is no such experiment, or no such run of it, a ValueError lists those there are.
-    """
+    """Return the configuration of a run, `EXPERIMENT/VARIANT`; ValueError lists those there are."""
     name, _, variant = run.partition("/")
     experiment = find(name)
     variants = experiment.variants or {"": {}}

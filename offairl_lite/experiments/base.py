@@ -1,15 +1,14 @@
 """What the experiments on mazes and on robots have in common."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal
 
 from offairl_lite.config import Config
 from offairl_lite.scale import Scale
 
-Changes = Mapping[str, Any]
-"""Settings of a configuration, by their flat names."""
+Changes = Mapping[str, Any]  #: Settings of a configuration, by their flat names.
 NOTHING: Changes = {}
 
 Seeds = Mapping[Scale, tuple[int, ...]]
@@ -23,22 +22,21 @@ ALL_EXPERTS: Experts = {"demo": None, "full": None}
 class Experiment:
     """What is run under a name: configurations and seeds at each scale.
 
-    `variants` are the names of its runs, where it is several, and what each changes. `reward_from`
-    is the run whose learned reward is used, frozen, if any; `experts` says how many of the shipped
-    experts show the task at each scale, None all of them, `best` the strongest.
+    `variants` are its runs, where it is several, and what each changes. `reward_from` is the run
+    whose reward is used, frozen; `experts` says how many show the task, None all, `best` the
+    strongest.
     """
 
-    about: str
     configs: Mapping[Scale, Config]
     variants: Mapping[str, Changes] = field(default_factory=dict)
     reward_from: str | None = None
     seeds: Seeds = field(default_factory=lambda: SEEDS)
     experts: Experts = field(default_factory=lambda: ALL_EXPERTS)
+    about: str = ""
 
 
 def experiment(
     base: Mapping[Scale, Config],
-    about: str,
     changes: Changes = NOTHING,
     *,
     demo: Changes = NOTHING,
@@ -46,7 +44,13 @@ def experiment(
 ) -> Experiment:
     """Return an experiment that changes this at both scales, and some more at demo scale."""
     full, small = (base[scale].change(**changes) for scale in ("full", "demo"))
-    return Experiment(about, {"demo": small.change(**demo), "full": full}, **others)
+    return Experiment({"demo": small.change(**demo), "full": full}, **others)
+
+
+def described(texts: str, experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
+    """Return experiments with what each is about, of lines with their names."""
+    about = dict(line.split(": ", 1) for line in texts.splitlines())
+    return {name: replace(one, about=about.pop(name)) for name, one in experiments.items()}
 
 
 def crossed(*axes: Mapping[str, Changes]) -> dict[str, Changes]:

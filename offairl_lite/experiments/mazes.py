@@ -87,90 +87,57 @@ _WORTH = crossed(
     },
 )
 
-EXPERIMENTS: Mapping[str, Experiment] = {
-    "maze-expert": _maze(
-        "SAC on the true reward of the maze: trains the experts, and is the upper line of figures",
-        base.EXPERT,
-        demo=_EXPERT_DEMO,
-    ),
-    "maze-imitation": _maze(
-        "Off-policy AIRL, Implementation 4, from demonstrations of PointMazeLeft"
-    ),
-    "maze-mcp": _maze(
-        "Off-policy AIRL on PointMazeLeft with actors of several primitives: 6 runs",
-        demo=base.SMALL_MCP,
-        variants=_ACTORS,
-    ),
-    "maze-transfer": _maze(
-        "SAC from scratch on PointMazeRight, paid by the reward that was learned on PointMazeLeft",
-        _TRANSFER,
-        demo=_SHORT,
-        reward_from="maze-imitation",
-    ),
-    "maze-gail": _maze(
-        "GAIL with PPO, from demonstrations of PointMazeLeft: its two rewards, and DAC's",
-        {**base.ON_POLICY, **base.SIGNS["survival"]},
-        demo=_ON_POLICY_DEMO,
-        variants=base.SIGNS,
-    ),
-    "maze-dac": _maze(
-        "DAC with TD3 and with SAC, from demonstrations of PointMazeLeft",
-        base.REWARDS["dac"],
-        variants=base.DAC,
-    ),
-    "maze-airl-ppo": _maze(
-        "What came before off-policy AIRL: AIRL with PPO, with r(s) and r(s, a)",
-        {**base.ON_POLICY, **_OF_STATE},
-        demo=_ON_POLICY_DEMO,
-        variants={"state": _OF_STATE, "state-action": base.REWARDS["implementation-1"]},
-    ),
-    "maze-retraining": _maze(
-        "On PointMazeRight, paid by the reward from PointMazeLeft: what of the policy to keep",
-        _TRANSFER,
-        demo={**_SHORT, **base.SMALL_MCP},
-        variants=_RETRAINING,
-        reward_from="maze-imitation",
-    ),
-    "maze-airl-memory": _maze(
-        "AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs",
-        {**base.ON_POLICY, **_OF_STATE},
-        demo=_ON_POLICY_DEMO,
-        variants={"recent": {"replay_size": 40_000}, "all": {"replay_size": 1_000_000}},
-    ),
-    "maze-rewards": _maze(
-        "Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once, too",
-        variants=base.REWARDS | _ENTROPY_ONCE,
-    ),
-    "maze-penalties": _maze(
-        "Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs",
-        variants=_PENALTIES,
-    ),
-    "maze-transfer-rewards": _maze(
-        "What a reward is worth in the other maze: from scratch or a policy, with help or alone",
-        _TRANSFER,
-        demo=_SHORT,
-        variants=_WORTH,
-        reward_from="maze-imitation",
-    ),
-    "marsh-expert": _maze(
-        "SAC on the true reward of the marsh, which is best gone round: trains the experts",
-        {**base.EXPERT, "env_id": MARSH},
-        demo=_EXPERT_DEMO,
-    ),
-    "marsh-imitation": _maze(
-        "Off-policy AIRL, Implementation 4, and DAC, from demonstrations of the marsh",
-        {"env_id": MARSH},
-        variants={"implementation-4": {}, "dac": base.REWARDS["dac"]},
-    ),
-    "marsh-transfer": _maze(
-        "On the marsh again, and from another start, paid by what was learned there, or truly",
-        {"env_id": MARSH, "reward": "frozen"},
-        demo=_SHORT,
-        variants={
-            "again": {},
-            "west": {"env_id": WEST},
-            "true-west": {"env_id": WEST, **base.EXPERT},
-        },
-        reward_from="marsh-imitation/implementation-4",
-    ),
+_ABOUT = """\
+maze-expert: SAC on the true reward of the maze: trains the experts; the upper line of figures
+maze-imitation: Off-policy AIRL, Implementation 4, from demonstrations of PointMazeLeft
+maze-mcp: Off-policy AIRL on PointMazeLeft with actors of several primitives: 6 runs
+maze-transfer: SAC from scratch on PointMazeRight, paid by the reward learned on PointMazeLeft
+maze-gail: GAIL with PPO, from demonstrations of PointMazeLeft: its two rewards, and DAC's
+maze-dac: DAC with TD3 and with SAC, from demonstrations of PointMazeLeft
+maze-airl-ppo: What came before off-policy AIRL: AIRL with PPO, with r(s) and r(s, a)
+maze-retraining: On PointMazeRight, paid by PointMazeLeft's reward: what of the policy to keep
+maze-airl-memory: AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs
+maze-rewards: Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once
+maze-penalties: Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs
+maze-transfer-rewards: What a reward is worth in the other maze: from scratch or a policy, or helped
+marsh-expert: SAC on the true reward of the marsh, which is best gone round: trains the experts
+marsh-imitation: Off-policy AIRL, Implementation 4, and DAC, from demonstrations of the marsh
+marsh-transfer: On the marsh again, and from another start, paid by what was learned, or truly
+"""
+_GAIL = {**base.ON_POLICY, **base.SIGNS["survival"]}
+_AIRL_PPO = {**base.ON_POLICY, **_OF_STATE}
+_KINDS = {"state": _OF_STATE, "state-action": base.REWARDS["implementation-1"]}
+_MEMORY = {"recent": {"replay_size": 40_000}, "all": {"replay_size": 1_000_000}}
+_BACK: Changes = {**_SHORT, **base.SMALL_MCP}
+_MARSH_EXPERT = {**base.EXPERT, "env_id": MARSH}
+_MARSH_IMITATION = {"implementation-4": {}, "dac": base.REWARDS["dac"]}
+_MARSH_TRANSFER = {
+    "again": {},
+    "west": {"env_id": WEST},
+    "true-west": {"env_id": WEST, **base.EXPERT},
 }
+_paid = partial(_maze, _TRANSFER, reward_from="maze-imitation")
+_marsh = partial(_maze, {"env_id": MARSH, "reward": "frozen"}, demo=_SHORT)
+
+EXPERIMENTS: Mapping[str, Experiment] = base.described(
+    _ABOUT,
+    {
+        "maze-expert": _maze(base.EXPERT, demo=_EXPERT_DEMO),
+        "maze-imitation": _maze(),
+        "maze-mcp": _maze(demo=base.SMALL_MCP, variants=_ACTORS),
+        "maze-transfer": _paid(demo=_SHORT),
+        "maze-gail": _maze(_GAIL, demo=_ON_POLICY_DEMO, variants=base.SIGNS),
+        "maze-dac": _maze(base.REWARDS["dac"], variants=base.DAC),
+        "maze-airl-ppo": _maze(_AIRL_PPO, demo=_ON_POLICY_DEMO, variants=_KINDS),
+        "maze-retraining": _paid(demo=_BACK, variants=_RETRAINING),
+        "maze-airl-memory": _maze(_AIRL_PPO, demo=_ON_POLICY_DEMO, variants=_MEMORY),
+        "maze-rewards": _maze(variants=base.REWARDS | _ENTROPY_ONCE),
+        "maze-penalties": _maze(variants=_PENALTIES),
+        "maze-transfer-rewards": _paid(demo=_SHORT, variants=_WORTH),
+        "marsh-expert": _maze(_MARSH_EXPERT, demo=_EXPERT_DEMO),
+        "marsh-imitation": _maze({"env_id": MARSH}, variants=_MARSH_IMITATION),
+        "marsh-transfer": _marsh(
+            variants=_MARSH_TRANSFER, reward_from="marsh-imitation/implementation-4"
+        ),
+    },
+)

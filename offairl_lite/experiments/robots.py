@@ -99,87 +99,71 @@ _ANT_TRANSFER |= {
     if "guide_steps" not in changes
 }
 
-EXPERIMENTS: Mapping[str, Experiment] = {
-    "experts": _robot(
-        "TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs",
-        {**_TASKS["HalfCheetah"], "reward": "environment"},
-        demo={"total_steps": 6_000, "learning_starts": 1_000, "train_every": 200, "batch_size": 64},
-        variants=_EXPERTS,
-        experts=base.ALL_EXPERTS,
-    ),
-    "hopper-gail": _robot(
-        "GAIL with PPO on Hopper, where episodes end when it falls: its two rewards, and DAC's",
-        {**_HOPPER, **base.ON_POLICY, **base.SIGNS["survival"]},
-        variants=base.SIGNS,
-    ),
-    "hopper-dac": _robot(
-        "DAC with TD3 and with SAC on Hopper, with absorbing states",
-        {**_ROBOTS["Hopper"], **_DAC},
-        variants=base.DAC,
-    ),
-    "hopper-absorbing": _robot(
-        "DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs",
-        {**_HOPPER, **_DAC},
-        demo={"total_steps": 12_000, "learning_starts": 2_000, "train_every": 250, "batch_size": 64}
-        | {"temperature": None, "target_rate": 0.01},
-        # What the end of an episode is worth to an imitator: each reward, with each way to go on.
-        variants=crossed(
-            {name: base.REWARDS[name] for name in ("dac", "implementation-4")},
-            {way: {"absorbing": way} for way in ("none", "bootstrap", "analytic")},
-        ),
-    ),
-    "locomotion": _robot(
-        "Off-policy AIRL by the recipe, with SAC and SAC-MCP, beside DAC with SAC and TD3: 25 runs",
-        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
-        demo={**base.SMALL_MCP, "total_steps": 500_000, "eval_every": 25_000, "eval_episodes": 10},
-        variants=crossed(_FIVE, _BY_THE_RECIPE),
-    ),
-    "locomotion-first": _robot(
-        "The same before the recipe, α learned or 1, which fails: for comparison, 35 runs",
-        {**_TASKS["HalfCheetah"], "temperature": None},
-        demo=base.SMALL_MCP,
-        variants=_FIRST,
-    ),
-    "what-decides": _robot(
-        "What makes off-policy AIRL work on robots: loss, temperature and warm-up, 96 runs",
-        _HOPPER,
-        demo={"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 5},
-        variants=_WHAT_DECIDES,
-    ),
-    "benchmark": _robot(
-        "The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give trajectories=",
-        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
-        demo=_LONG,
-        variants=_BENCHMARK,
-        experts=_BEST,
-    ),
-    "benchmark-warm": _robot(
-        "The recipe from a clone: give trajectories=, pretrained_policy= and only=, one robot",
-        {**_TASKS["HalfCheetah"], "learning_starts": 1_000},
-        demo=_LONG,
-        variants=_WARM,
-        experts=_BEST,
-    ),
-    "ant-transfer": _robot(
-        "On DisabledAnt, paid by the reward from CustomAnt: what of the policy to keep, α learned",
-        {**_TASKS["DisabledAnt"], "reward": "frozen", "temperature": None},
-        demo={**base.SMALL_MCP, **_ANT_DEMO},
-        variants=_ANT_TRANSFER,
-        reward_from="locomotion/CustomAnt-airl",
-        seeds=_FEW,
-        experts=base.ALL_EXPERTS,
-    ),
-    "ant-rewards": _robot(
-        "Implementations 1 to 4 on CustomAnt, with and without log π's tail or the legs, and DAC",
-        _TASKS["CustomAnt"],
-        demo=_ANT_DEMO,
-        variants=base.REWARDS | {"implementation-4-velocity": {**base.MIXTURE, **_VELOCITY}},
-        seeds=_FEW,
-    ),
-    "imitate": _robot(
-        "Off-policy AIRL by the recipe, on a task of your own: give env_id= and dataset=",
-        {"learning_starts": 1_000, **_RELEASED},
-        demo={"train_every": 200, "eval_episodes": 10},
-        experts=base.ALL_EXPERTS,
-    ),
+# What the end of an episode is worth to an imitator: each reward, with each way to go on.
+_ABSORBING = crossed(
+    {name: base.REWARDS[name] for name in ("dac", "implementation-4")},
+    {way: {"absorbing": way} for way in ("none", "bootstrap", "analytic")},
+)
+_FEWER_STEPS: Changes = {"learning_starts": 1_000}
+_EXPERTS_DEMO: Changes = {
+    **_FEWER_STEPS,
+    "total_steps": 6_000,
+    "train_every": 200,
+    "batch_size": 64,
 }
+_ABSORBING_DEMO: Changes = {
+    **{"total_steps": 12_000, "learning_starts": 2_000, "train_every": 250, "batch_size": 64},
+    **{"temperature": None, "target_rate": 0.01},
+}
+_LOCOMOTION_DEMO: Changes = {
+    **base.SMALL_MCP,
+    **_LONG,
+    "total_steps": 500_000,
+    "eval_every": 25_000,
+}
+
+_ABOUT = """\
+experts: TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs
+hopper-gail: GAIL with PPO on Hopper, where episodes end when it falls: its two rewards, and DAC's
+hopper-dac: DAC with TD3 and with SAC on Hopper, with absorbing states
+hopper-absorbing: DAC and off-policy AIRL on Hopper, with absorbing states and without: 6 runs
+locomotion: Off-policy AIRL by the recipe, with SAC and SAC-MCP, and DAC with SAC and TD3: 25 runs
+locomotion-first: The same before the recipe, α learned or 1, which fails: for comparison, 35 runs
+what-decides: What makes off-policy AIRL work on robots: loss, temperature and warm-up, 96 runs
+benchmark: The recipe, two DACs, SQIL and IQ-Learn, 25 runs by the best experts: give trajectories=
+benchmark-warm: The recipe from a clone: give trajectories=, pretrained_policy= and only=, one robot
+ant-transfer: On DisabledAnt, paid by CustomAnt's reward: what of the policy to keep, α learned
+ant-rewards: Implementations 1 to 4 on CustomAnt, without log π's tail or the legs, too, and DAC
+imitate: Off-policy AIRL by the recipe, on a task of your own: give env_id= and dataset=
+"""
+_cheetah = partial(_robot, {**_TASKS["HalfCheetah"], **_FEWER_STEPS})
+_GAIL = {**_HOPPER, **base.ON_POLICY, **base.SIGNS["survival"]}
+_DISABLED = {**_TASKS["DisabledAnt"], "reward": "frozen", "temperature": None}
+_OTHERS = {"reward_from": "locomotion/CustomAnt-airl", "seeds": _FEW, "experts": base.ALL_EXPERTS}
+_SIGHT = base.REWARDS | {"implementation-4-velocity": {**base.MIXTURE, **_VELOCITY}}
+_OWN = {**_FEWER_STEPS, **_RELEASED}
+_OWN_DEMO: Changes = {"train_every": 200, "eval_episodes": 10}
+_FIRST_TASK = {**_TASKS["HalfCheetah"], "temperature": None}
+_ON_TRUE = {**_TASKS["HalfCheetah"], "reward": "environment"}
+
+EXPERIMENTS: Mapping[str, Experiment] = base.described(
+    _ABOUT,
+    {
+        "experts": _robot(
+            _ON_TRUE, demo=_EXPERTS_DEMO, variants=_EXPERTS, experts=base.ALL_EXPERTS
+        ),
+        "hopper-gail": _robot(_GAIL, variants=base.SIGNS),
+        "hopper-dac": _robot({**_ROBOTS["Hopper"], **_DAC}, variants=base.DAC),
+        "hopper-absorbing": _robot({**_HOPPER, **_DAC}, demo=_ABSORBING_DEMO, variants=_ABSORBING),
+        "locomotion": _cheetah(demo=_LOCOMOTION_DEMO, variants=crossed(_FIVE, _BY_THE_RECIPE)),
+        "locomotion-first": _robot(_FIRST_TASK, demo=base.SMALL_MCP, variants=_FIRST),
+        "what-decides": _robot(_HOPPER, demo={**_LONG, "eval_episodes": 5}, variants=_WHAT_DECIDES),
+        "benchmark": _cheetah(demo=_LONG, variants=_BENCHMARK, experts=_BEST),
+        "benchmark-warm": _cheetah(demo=_LONG, variants=_WARM, experts=_BEST),
+        "ant-transfer": _robot(
+            _DISABLED, demo={**base.SMALL_MCP, **_ANT_DEMO}, variants=_ANT_TRANSFER, **_OTHERS
+        ),
+        "ant-rewards": _robot(_TASKS["CustomAnt"], demo=_ANT_DEMO, variants=_SIGHT, seeds=_FEW),
+        "imitate": _robot(_OWN, demo=_OWN_DEMO, experts=base.ALL_EXPERTS),
+    },
+)

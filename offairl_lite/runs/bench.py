@@ -1,13 +1,11 @@
 """How fast the package trains on this machine: `offairl bench`, and how long a run would take.
 
-Machines differ, and one machine differs from hour to hour. So all measurements take turns, round
-after round, in one process, and rates are medians over the rounds. On HalfCheetah there are, for
-each network and number of members:
+Machines differ, and from hour to hour. So all measurements take turns, round after round, in one
+process, and rates are medians. On HalfCheetah there are, for each network and number of members:
 
-- *updates*: of the discriminator, with its penalty, and of SAC, in blocks as in training, compiled
-  where there is a compiler;
-- *steps*: of the environment, with an update each; on request those of another library's SAC, too,
-  which has no discriminator to train.
+- *updates*: of discriminator and SAC, in blocks as in training, compiled where that is possible;
+- *steps*: with an update each; on request those of another library's SAC, too, which has no
+  discriminator to train.
 """
 
 import importlib
@@ -138,10 +136,7 @@ def turn(act: Callable[[], object], seconds: float) -> float:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measure everything: what `offairl bench --json` prints.
-
-    Beside `origin` and `options` these are the `rates`: how many a second, of all members together.
-    """
+    """Measure all: what `offairl bench --json` prints; `rates` are of all members together."""
     execution = Execution(options.device, options.threads, options.compile)
     torch.set_num_threads(options.threads)
     networks = [options.hidden] if options.hidden else [(256, 256), (400, 300)]
@@ -172,11 +167,10 @@ def table(report: dict[str, Any]) -> str:
 
 
 def estimate(config: Config, members: int) -> float:
-    """Return roughly how many seconds a run takes here, in one process on one core, not compiled.
+    """Return roughly how many seconds a run takes here, on one core, not compiled.
 
-    We time one block of training and one episode of evaluation, on random demonstrations where a
-    reward is learned. A policy that survives longer than the untrained one takes longer to
-    evaluate.
+    We time one block of training and one episode, on random demonstrations. A policy that survives
+    longer than the untrained one takes longer to evaluate.
     """
     schedule = config.schedule
     every = (config.learner.kind == "ppo" and schedule.train_every) or 20

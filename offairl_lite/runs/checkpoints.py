@@ -1,9 +1,7 @@
-"""What a run needs to go on, in the subfolder `checkpoint/`, its disk space, and its lock.
+"""What a run needs to go on, in `checkpoint/`, its disk space, and its lock.
 
-- `checkpoint.safetensors`: the trainer's state, what it belongs to, and how long the curve was;
-- `replay.f32`: the replay, mapped into memory, with all that the checkpoint refers to;
-- `lock`: held by the process that trains;
-- `log.txt`: the output of a process that another one started.
+There are `checkpoint.safetensors`, the trainer's state and what it belongs to; `replay.f32`, the
+replay, mapped into memory; `lock`, held by the process that trains; and `log.txt`, its output.
 """
 
 import json
@@ -23,7 +21,7 @@ from gymnasium.spaces.utils import flatdim
 from torch import Tensor
 
 from offairl_lite import envs
-from offairl_lite.config import Config, DiscriminatorConfig, flat_settings
+from offairl_lite.config import DiscriminatorConfig, flat_settings
 from offairl_lite.core.collector import part_of
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.networks import StackedMLP, load_weights, save_weights
@@ -37,12 +35,9 @@ CHECKPOINT, REPLAY = Path("checkpoint/checkpoint.safetensors"), Path("checkpoint
 
 MARGIN = 2**23
 """Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
-Found = tuple[dict[str, Tensor], dict[str, Any]]
-"""A checkpoint: the trainer's state, and what is said about it."""
-FORMAT = 4
-"""Of checkpoints; it changes when older ones can no longer be resumed."""
-BLOCK = 1024
-"""Places in the replay, with the rows of all members, that have one checksum."""
+Found = tuple[dict[str, Tensor], dict[str, Any]]  #: A trainer's state, and what is said about it.
+FORMAT = 4  #: Of checkpoints; it changes when older ones can no longer be resumed.
+BLOCK = 1024  #: Places in the replay, with the rows of all members, that have one checksum.
 
 
 class Checksums:
@@ -107,7 +102,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
         sound = metadata.pop("digest", None) == digest(state, metadata)
     except ValueError as error:
         raise damaged(folder, path, error) from error
-    records.require_format(path, metadata.get("format", 1), FORMAT)
+    records.require_format(path, metadata.get("format"), FORMAT)
     if not sound:
         raise damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.
@@ -123,7 +118,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
         size = file.stat().st_size if file.is_file() else 0
         if size < metadata[file.name]:
             raise damaged(folder, file, f"it had {metadata[file.name]} bytes, and has {size}")
-    records.require_checksum(folder / "curve.csv", metadata.get("curve"), metadata["curve.csv"])
+    records.require_checksum(folder / "curve.csv", metadata["curve"], metadata["curve.csv"])
     if (reached := metadata["steps"]) > spec.config.total_steps:
         raise ValueError(
             f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
@@ -140,8 +135,8 @@ def restore(folder: Path, trainer: Trainer, checkpoint: Found, checksums: Checks
     state, metadata = checkpoint
     trainer.restore(state)
     now = checksums.update()
-    # An older checkpoint has no checksums. A run that is extended may have more blocks.
-    pairs = enumerate(zip(now, metadata.get("blocks", now), strict=False))
+    # A run that is extended may have more blocks.
+    pairs = enumerate(zip(now, metadata["blocks"], strict=False))
     if wrong := [block for block, (here, there) in pairs if here != there]:
         size = BLOCK * checksums.replay.rows[0].nbytes
         where = f"{len(wrong)} of its {len(now)} blocks, the first from byte {wrong[0] * size} on"
@@ -179,22 +174,14 @@ def disk_space(spec: RunSpec) -> int:
     schedule = spec.config.schedule
     obs, action = map(flatdim, envs.spaces(schedule.env_id))
     obs += schedule.absorbing != "none"
+    # Policy and reward are kept of every evaluation.
+    weights = make_actor(spec.config.learner, obs, action).num_params
+    if isinstance(discriminator := spec.config.discriminator, DiscriminatorConfig):
+        weights += StackedMLP((obs + action, *discriminator.reward_hidden, 1)).num_params
+    evaluations = schedule.total_steps // schedule.eval_every + 1
     rows = replay_slots(schedule, most_steps_between(spec))
-    numbers = rows * (2 * obs + action + 2) + evaluations(spec) * weights(spec.config, obs, action)
+    numbers = rows * (2 * obs + action + 2) + evaluations * weights
     return len(spec.seeds) * (4 * numbers + MARGIN)
-
-
-def evaluations(spec: RunSpec) -> int:
-    """Return how often a run is evaluated at most, and its policy and reward are kept."""
-    return spec.config.total_steps // spec.config.schedule.eval_every + 1
-
-
-def weights(config: Config, obs: int, action: int) -> int:
-    """Return the numbers in a policy and a learned reward of one member."""
-    total = make_actor(config.learner, obs, action).num_params
-    if isinstance(config.discriminator, DiscriminatorConfig):
-        total += StackedMLP((obs + action, *config.discriminator.reward_hidden, 1)).num_params
-    return total
 
 
 def require_room(place: Path, space: int) -> None:

@@ -43,8 +43,7 @@ The {kind}, with PyTorch:
     {gives} = program({tensors})
 """
 ABSORBING = "\nWhere an episode terminates, add {rest:.6g} to reward-{i}, at a discount of 0.99.\n"
-GIVES = {"policy": "action", "reward": "reward"}
-"""What the output of each is called."""
+GIVES = {"policy": "action", "reward": "reward"}  #: What the output of each is called.
 
 
 class InUnits(torch.nn.Module):

@@ -18,10 +18,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+import torch
+
 from offairl_lite import envs
 from offairl_lite.config.settings import Count, Natural, checked
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.loop import Stop, Trainer, complete, train
+from offairl_lite.core.networks import save_weights
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row
 from offairl_lite.core.rewards import Reward
@@ -40,9 +43,14 @@ def create(
 ) -> None:
     """Make the folder of a new run, whole or not at all. `work` then trains.
 
-    The folder is new or empty, or FileExistsError is raised; it may be one below a run folder.
-    `given` is what the run has of other runs, as `inputs.load` returns it, `shown` demonstrations
-    of which it keeps a copy.
+    Args:
+        folder: new or empty; it may be one below a run folder.
+        spec: what the run is.
+        inherited: what it has of other runs, as `inputs.load` returns it.
+        demos: demonstrations of which it keeps a copy.
+
+    Raises:
+        FileExistsError: the folder is not empty.
     """
     existing = records.beginning(folder)
     taken = FileExistsError(
@@ -66,7 +74,9 @@ def create(
         for name, network in inherited.items():
             network.save(made / f"{name}.safetensors")
         if demos is not None:
-            inputs.keep_demonstrations(made, demos)
+            of = {"lengths": torch.tensor(demos.lengths), "returns": torch.tensor(demos.returns)}
+            tensors, about = {**demos.transitions._asdict(), **of}, {"kind": "demonstrations"}
+            save_weights(made / inputs.COPY, tensors, about)
         spec.write(made)
         try:
             if existing != folder:
@@ -86,9 +96,16 @@ def work(
 ) -> None:
     """Train a run folder from where it is to its end. A run that has ended is left as it is.
 
-    Members that diverge are given up: run.json says why, and the others go on. Demonstrations are
-    loaded if they are not given. ValueError says that the run is not what it began as, or that a
-    file is damaged; OSError that another process is at work on it, or that the disk is full.
+    Members that diverge are given up: run.json says why, and the others go on.
+
+    Args:
+        folder: of the run.
+        demonstrations: those that it began with; by default they are loaded.
+        progress: whether a bar is shown.
+
+    Raises:
+        ValueError: the run is not what it began as, or a file is damaged.
+        OSError: another process is at work on it, or the disk is full.
     """
     folder = Path(folder)
     spec = known(folder)
@@ -182,22 +199,18 @@ class _Worker:
 
     def keep(self, rows: list[Row]) -> None:
         """Add the rows of an evaluation to the curve, and take a checkpoint where one is due."""
-        if rows:
-            self.keep_results()
+        if rows:  # Policies and rewards are kept before the curve speaks of them.
+            learned = None if self.trainer.discriminator is None else self.trainer.reward
+            for result in (self.trainer.policy, learned):
+                if result is not None:
+                    name = records.file_name(type(result), self.trainer.steps)
+                    records.write_whole(self.folder / name, result.save)
             with open(self.folder / "curve.csv", "a") as file:
                 file.write(records.lines(rows))
             self.note("running")
             self.draw()
         if self.done - self.saved >= self.spec.checkpoint_every:
             self.checkpoint()
-
-    def keep_results(self) -> None:
-        """Keep the policies and the rewards of an evaluation, before the curve speaks of it."""
-        learned = None if self.trainer.discriminator is None else self.trainer.reward
-        for result in (self.trainer.policy, learned):
-            if result is not None:
-                name = records.file_name(type(result), self.trainer.steps)
-                records.write_whole(self.folder / name, result.save)
 
     def draw(self) -> None:
         """Bring the run's picture up to date; where that fails, the run goes on without."""
@@ -234,12 +247,18 @@ class _Worker:
 def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) -> None:
     """Set a run another number of steps, or add seeds to it. `work` then trains what is new.
 
-    More steps are for all run folders of the run. New seeds get a run folder of their own, inside
-    `folder`, where `read` finds it; nothing is moved. ValueError says that the run has gone further
-    already, that a seed is there already, that the run builds upon members of another, that its
-    task cannot be played again, or that what it began with has changed; OSError that this is gone,
-    that a process is at work on the run, or that the disk has no room. Nothing is changed then. A
-    finished run keeps its policies and rewards until the longer one has its own.
+    New seeds get a run folder of their own, inside `folder`. A finished run keeps its policies and
+    rewards until the longer one has its own. If an error is raised, nothing is changed.
+
+    Args:
+        folder: of the run.
+        steps: of all its run folders, in all.
+        seeds: those to add.
+
+    Raises:
+        ValueError: the run has gone further already, a seed is there already, the run builds upon
+            members of another, its task cannot be played again, or what it began with has changed.
+        OSError: that is gone, a process is at work on the run, or the disk has no room.
     """
     before = {path: known(path) for path in run_folders(folder)}
     changes = {} if steps is None else {"total_steps": checked("steps", steps, Count)}
@@ -290,8 +309,10 @@ def verify(
     """Train the beginning of a recorded run again, in memory, and set it beside the record.
 
     Its checkpoints are not needed. Of several run folders the first is verified; see `known`.
-    Returned are, by seed and step of the first evaluation, the recorded row and the row as it comes
-    out now. None stands for a member that had diverged, there or here.
+
+    Returns:
+        By seed and step of the first evaluation, the recorded row and the row as it comes out now;
+        None for a member that had diverged.
     """
     folder = run_folders(folder)[0]
     spec = known(folder, task, "verify")

@@ -12,12 +12,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from offairl_lite import demonstrations as data
 from offairl_lite.config import Config, Labels
-from offairl_lite.core.networks import load_weights, save_weights
+from offairl_lite.core.networks import load_weights
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rewards import Reward
@@ -79,10 +78,7 @@ def why_no_reward(config: Config) -> str | None:
 
 
 def load_one(path: Any, kind: Any, step: int | None = None) -> Any:
-    """Return the policies, or the rewards, of a file or of a run that has ended, or at a `step`.
-
-    What is such a thing already is returned as it is.
-    """
+    """Return the policies, or rewards, of a file or of a run, at its end or at a `step`."""
     if isinstance(path, kind):
         return path
     path = Path(path)
@@ -118,14 +114,14 @@ def inherited(
     """Return what `config.json` says of things from other runs: all of the files', or `members`."""
     part = {} if members is None else {"members": [*members]}
     return {
-        name: {"files": _paths(files.get(name, ())), **part, "digest": digest_of(network)}
+        # What was given as it is has no file.
+        name: {
+            "files": [str(f) for f in files.get(name, ()) if isinstance(f, str | PathLike)],
+            **part,
+            "digest": digest_of(network),
+        }
         for name, network in things.items()
     }
-
-
-def _paths(files: Sequence[Any]) -> list[str]:
-    """Return the names of files; what was given as it is has none."""
-    return [str(file) for file in files if isinstance(file, str | PathLike)]
 
 
 def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
@@ -186,14 +182,6 @@ def demonstrations_of(
             "them back, or start a new run"
         )
     return demos
-
-
-def keep_demonstrations(folder: Path, demos: Demonstrations) -> None:
-    """Put a copy of demonstrations into a run folder that is being made."""
-    episodes = {"lengths": torch.tensor(demos.lengths), "returns": torch.tensor(demos.returns)}
-    save_weights(
-        folder / COPY, {**demos.transitions._asdict(), **episodes}, {"kind": "demonstrations"}
-    )
 
 
 def digest(tensors: Mapping[str, Tensor], about: dict[str, Any] | None = None) -> str:

@@ -1,10 +1,7 @@
 """Jobs: processes that train run folders, on this machine or on a Ray cluster.
 
-Every job is a process of its own, on either engine, so that one that crashes takes no other with
-it. What is known of a job is what lies in its run folder. After an interruption the same folders
-can therefore be given again, and their runs go on.
-
-Workers of a Ray cluster import this module, so it imports nothing large.
+Each is a process of its own, so that one that crashes takes no other with it. After an interruption
+the same folders can be given again. Ray's workers import this module, so it imports nothing large.
 """
 
 import json
@@ -27,12 +24,9 @@ from tqdm.auto import tqdm
 Engine = Literal["processes", "ray"]
 Attempt = Callable[[Path, threading.Event], str]
 """Runs a job, or ends it when the event is set. It returns nothing, or what went wrong."""
-POLL_S = 1.0
-"""Seconds between two looks at the jobs."""
-GRACE_S = 10.0
-"""Seconds that a process is given to end when it is asked to."""
-TAIL = 20
-"""Lines of the log that are shown of a job that failed."""
+POLL_S = 1.0  #: Seconds between two looks at the jobs.
+GRACE_S = 10.0  #: Seconds that a process is given to end when it is asked to.
+TAIL = 20  #: Lines of the log that are shown of a job that failed.
 
 
 def log_of(folder: Path) -> Path:
@@ -62,9 +56,17 @@ def execute(
 ) -> list[str]:
     """Train run folders to their ends, one process for each, and try once more what fails.
 
-    On a Ray cluster, at an `address` or started here, each job takes so many `gpus`. A
-    KeyboardInterrupt, or SIGTERM, ends the jobs, which can be gone on with. Returned is of each job
-    that failed twice its folder, how its process ended, and the end of its log.
+    A KeyboardInterrupt, or SIGTERM, ends the jobs, which can be gone on with.
+
+    Args:
+        folders: those of the runs.
+        engine: processes here, or Ray.
+        workers: how many at a time.
+        address: of the Ray cluster; by default one is started here.
+        gpus: that each job takes on it.
+
+    Returns:
+        Of each job that failed twice its folder, how its process ended, and the end of its log.
     """
     if engine == "processes" and address is not None:
         raise ValueError(f"address {address!r} is a Ray cluster's: give the engine ray with it")

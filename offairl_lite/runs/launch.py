@@ -25,8 +25,7 @@ from offairl_lite.runs.grid import options, points
 from offairl_lite.runs.records import RunSpec, run_folders, seeds_name
 from offairl_lite.scale import Scale
 
-CHECKPOINT_EVERY = 2_000
-"""Steps and updates, together, between checkpoints."""
+CHECKPOINT_EVERY = 2_000  #: Steps and updates, together, between checkpoints.
 
 
 @dataclass(frozen=True)

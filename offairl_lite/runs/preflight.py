@@ -31,9 +31,10 @@ def try_out(env_id: str, seed: int) -> list[str]:
             order = f"flattened in the order {', '.join(names)}"
             notes.append(f"{env_id}: observations are dictionaries, {order}")
         env.reset()
-        ended = _step(env, 0.5)
+        width, rng, steps = env.single_action_space.shape, np.random.default_rng(seed), 0
+        *_, terminated, truncated, _ = env.step(np.full((1, *width), 0.5, np.float32))
         try:
-            if not ended:
+            if not (terminated[0] or truncated[0]):
                 env.set_state(env.get_state())
         except ValueError as error:  # It trains nevertheless.
             notes.append(str(error))
@@ -42,7 +43,13 @@ def try_out(env_id: str, seed: int) -> list[str]:
                 f"{env_id} has no time limit: an episode that does not end is an error after "
                 f"{LONGEST:,} steps, which one of random actions has not reached"
             )
-            _play(env_id, env, seed)
+            env.reset(seed=seed)
+            ended = False
+            while not ended:
+                require_end(env_id, steps, LONGEST)
+                action = rng.uniform(-1, 1, width).astype(np.float32)
+                *_, terminated, truncated, _ = env.step(action[None])
+                ended, steps = bool(terminated[0] or truncated[0]), steps + 1
     return notes
 
 
@@ -57,8 +64,8 @@ def check(
     scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))
     env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=scaled)
     frozen, policy, reward, guide = map(networks.get, inputs.CURES)
-    require_inputs(config, seeds, demos, frozen, policy, guide)
-    require_match(config, seeds, env, demos, frozen, policy, reward, guide)
+    require_inputs(config, seeds, demos, frozen, policy, reward, guide)
+    require_match(config, env, demos, frozen, policy, reward, guide)
     if demos is None:
         return []
     notes, ends = [], int(demos.transitions.terminated.sum())
@@ -85,19 +92,3 @@ def sees_actions(config: Config) -> bool:
         return False
     kind = IMPLEMENTATIONS.get(config.reward)
     return kind is None or not kind.state_only or config.discriminator.loss != "log-ratio"
-
-
-def _step(env: Any, action: Any) -> bool:
-    """Act once; tell whether the episode has ended."""
-    width = env.single_action_space.shape
-    _, _, terminated, truncated, _ = env.step(np.full((1, *width), action, np.float32))
-    return bool(terminated[0] or truncated[0])
-
-
-def _play(env_id: str, env: Any, seed: int) -> None:
-    """Play an episode of random actions; ValueError if it has no end."""
-    rng, steps = np.random.default_rng(seed), 0
-    env.reset(seed=seed)
-    while not _step(env, rng.uniform(-1, 1, env.single_action_space.shape)):
-        steps += 1
-        require_end(env_id, steps, LONGEST)

@@ -1,19 +1,16 @@
 """Records of runs: the files of a run folder, and how they are read and written.
 
 - `config.json`: what the run is (`RunSpec`);
-- `curve.csv`: one row for each seed and evaluation;
-- `run.json`: its state, the step of its last checkpoint, seeds that diverged, wall time, and what
-  produced it (`origin`);
-- `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: what the run
-  was given of other runs, if anything;
+- `curve.csv`: one row for each seed and evaluation, and `curve.png`, a picture of it;
+- `run.json`: its state, the step of its last checkpoint, seeds that diverged, and its `origin`;
+- `frozen_reward.safetensors`, `pretrained_policy.safetensors`, `guide.safetensors`: of other runs;
 - `policy.safetensors` and `reward.safetensors`: the policies and learned rewards at the last end;
 - `evaluations/`: the same of each evaluation, `policy-10000.safetensors`;
 - `demonstrations.safetensors`: a copy, where they were given as arrays;
-- `curve.png`: a picture of the evaluations so far, for whoever watches; no part of the record;
 - `checkpoint/`: what is needed to go on, and nowhere else (see `checkpoints`).
 
-The seeds of one run may be spread over several run folders, each trained by a process of its own:
-`NAME/seeds-0-1-2`, `NAME/seeds-3-4` and so on. `read(NAME)` joins them.
+The seeds of one run may be spread over several run folders, `NAME/seeds-0-1-2`, `NAME/seeds-3-4`
+and so on, each trained by a process of its own. `read(NAME)` joins them.
 """
 
 import csv
@@ -44,8 +41,7 @@ from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Row, Run
 from offairl_lite.core.rewards import Reward
 
-FORMAT = 3
-"""Of run folders; it changes when older ones can no longer be read."""
+FORMAT = 3  #: Of run folders; it changes when older ones can no longer be read.
 METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
     *("temperature", "entropy", "excess", "multiplier"),
@@ -68,11 +64,9 @@ class RunSpec:
     """What a run is: the contents of `config.json`.
 
     `seeds` are in the order of all files; `execution` has the fields of `Execution`;
-    `demonstrations` is what `inputs.describe` says of them, None where no reward is learned;
-    `checkpoint_every` counts steps and updates together; `experiment` and `scale` are there if it
-    is one of the experiments. `inherited` is what the run was given of other runs: for each name in
-    `inputs.CURES` the `files` that it was loaded from, its `digest` and, if it is a part of theirs,
-    the `members`.
+    `demonstrations` is what `inputs.describe` says; `checkpoint_every` counts steps and updates
+    together. `inherited` has, by the names in `inputs.CURES`, the `files` of what comes from other
+    runs, its `digest` and, if it is a part of theirs, the `members`.
     """
 
     config: Config
@@ -139,10 +133,15 @@ def folders_in(folder: Path) -> list[Path]:
 def read(folder: str | PathLike, step: int | None = None) -> Run:
     """Return a recorded run, finished or not, with the policies and rewards of its end.
 
-    They are None until all run folders have theirs, of one length; a run that is extended has those
-    of before until then. With a `step` they are those of the evaluation at that step, as which the
-    run is returned. FileNotFoundError names what is missing, ValueError what is of another version,
-    or of several configurations, or that there was no evaluation at that step.
+    They are None until all run folders have theirs, of one length.
+
+    Args:
+        folder: of the run, or the folder of its run folders.
+        step: of the evaluation as which the run is returned; by default its end.
+
+    Raises:
+        FileNotFoundError: something is missing.
+        ValueError: it is of another version, or of several configurations, or has no such step.
     """
     specs = {path: RunSpec.read(path) for path in run_folders(folder)}
     first, spec = next(iter(specs.items()))
@@ -362,10 +361,7 @@ def origin(execution: Execution) -> dict[str, Any]:
 
 
 def changed(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Return what two origins have otherwise of all that may change a number: before and after.
-
-    What an older origin does not say is None.
-    """
+    """Return what two origins have otherwise of all that may change a number: before and after."""
     keys = ("versions", "processor", "vectors", "commit")
     return {key: (then.get(key), now[key]) for key in keys if then.get(key) != now[key]}
 

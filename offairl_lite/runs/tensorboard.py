@@ -6,16 +6,21 @@ from pathlib import Path
 
 from offairl_lite.runs import records
 
-POLL_S = 10.0
-"""Seconds between two looks at a run that is followed."""
+POLL_S = 10.0  #: Seconds between two looks at a run that is followed.
 
 
 def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) -> int:
     """Write the evaluations of a run, each seed as a run of its own, and return their number.
 
-    With `follow` it goes on until the run has ended. One that was killed has not: it may be
-    resumed. `anew` replaces what was written before. ImportError says that TensorBoard is not
-    installed, FileExistsError that something else is in the folder.
+    Args:
+        run: its folder.
+        folder: for the event files.
+        follow: whether to go on until the run has ended; one that was killed has not.
+        anew: whether to replace what was written before.
+
+    Raises:
+        ImportError: TensorBoard is not installed.
+        FileExistsError: something else is in the folder.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter

@@ -67,7 +67,9 @@ def hidden(worlds: Sequence[MDP]) -> Float[Array, "S A free"]:
 def _hiding(worlds, seen=None) -> tuple[Float[Array, "N K"], Float[Array, "K"]]:
     """Return orthogonal directions of r(s, a) and what worlds show of each, the least first."""
     rows = slice(None) if seen is None else np.asarray(seen).ravel()
-    bases = [scipy.linalg.orth(shapings(mdp)[rows]) for mdp in _same_size(worlds)]
+    if len(sizes := {(mdp.num_states, mdp.num_actions) for mdp in worlds}) != 1:
+        raise ValueError(f"worlds must have the same states and actions, not (S, A) of {sizes}")
+    bases = [scipy.linalg.orth(shapings(mdp)[rows]) for mdp in worlds]
     # With the bases beside each other in Q, the squares of the projections add up to W - QQᵀ.
     directions, cosines, _ = np.linalg.svd(np.hstack(bases), full_matrices=False)
     return directions, np.sqrt(np.clip(len(worlds) - cosines**2, 0, None))
@@ -95,7 +97,7 @@ def shared_reward(
         of_state: whether r may depend on the state alone.
     """
     checked("ridge", ridge, Positive)
-    count, (s, a) = len(_same_size(worlds)), np.shape(log_policies[0])
+    count, (s, a) = len(worlds), np.shape(log_policies[0])
     shown = temperature * np.stack(log_policies).reshape(count, s * a, 1)
     w = np.ones_like(shown) if weights is None else np.stack(weights).reshape(shown.shape)
 
@@ -121,10 +123,7 @@ def shared_reward(
 def counted(
     trajectories: Trajectories, num_states: int, num_actions: int, discount: float
 ) -> tuple[MDP, Float[Array, "S A"]]:
-    """Return the process with the observed frequencies of s', and how often each pair was taken.
-
-    A pair that was never taken stays where it is: leave it out, with `seen` or a weight of 0.
-    """
+    """Return the process with observed frequencies, and counts of its pairs; untaken ones stay."""
     pairs = trajectories.states[:, :-1] * num_actions + trajectories.actions
     arrivals = np.zeros((num_states * num_actions, num_states))
     np.add.at(arrivals, (pairs.ravel(), trajectories.states[:, 1:].ravel()), 1)
@@ -201,10 +200,3 @@ def apart(
 
     by_chance = max(distance(2 * i, 2 * i + 1) for i in worlds)
     return Apart(distance(*(2 * i for i in worlds)), by_chance)
-
-
-def _same_size(worlds: Sequence[MDP]) -> Sequence[MDP]:
-    sizes = {(mdp.num_states, mdp.num_actions) for mdp in worlds}
-    if len(sizes) != 1:
-        raise ValueError(f"worlds must have the same states and actions, not (S, A) of {sizes}")
-    return worlds

@@ -1,7 +1,4 @@
-"""Maximum causal entropy inverse reinforcement learning.
-
-Ziebart, Bagnell and Dey, "Modeling Interaction via the Principle of Maximum Causal Entropy" (2010).
-"""
+"""Maximum causal entropy inverse reinforcement learning (Ziebart, Bagnell and Dey 2010)."""
 
 from typing import NamedTuple
 
@@ -128,26 +125,20 @@ def _likelihood(
 def _checked(mdp: MDP, demonstrated: Array, temperature: float) -> Float[Array, "S A"]:
     """Return the demonstrated visits if some policy of the process can have made them."""
     checked("temperature", temperature, Positive)
-    demonstrated = np.asarray(demonstrated, dtype=float)
-    shape = (mdp.num_states, mdp.num_actions)
+    demonstrated, shape = np.asarray(demonstrated, float), (mdp.num_states, mdp.num_actions)
     if demonstrated.shape != shape:
         raise ValueError(f"demonstrated must have shape {shape}, not {demonstrated.shape}")
     if not np.isclose(demonstrated.sum(), mdp.total_visits, rtol=1e-4):
         raise ValueError(
-            f"demonstrated adds up to {demonstrated.sum():.6g}, but every occupancy of the process "
-            f"to {mdp.total_visits:.6g}; count with the same discount and horizon, over whole "
-            "episodes, or every reward is too high or too low"
+            f"demonstrated adds up to {demonstrated.sum():.6g}, every occupancy of the process to "
+            f"{mdp.total_visits:.6g}: count whole episodes, with its discount and horizon"
         )
     reached = mdp.initial > 0
     for _ in range(mdp.num_states if mdp.horizon is None else mdp.horizon - 1):
-        grown = reached | (mdp.push(np.broadcast_to(reached[:, None], shape)) > 0)
-        if (grown == reached).all():
+        before, arrived = reached, mdp.push(np.broadcast_to(reached[:, None], shape)) > 0
+        if ((reached := before | arrived) == before).all():
             break
-        reached = grown
     lost = np.flatnonzero((demonstrated > 0).any(1) & ~reached)
     if len(lost):
-        raise ValueError(
-            f"demonstrations visit {len(lost)} states that no policy reaches from the initial "
-            f"distribution, the first of them {lost[0]}"
-        )
+        raise ValueError(f"demonstrations visit states that no policy reaches: {lost.tolist()}")
     return demonstrated

@@ -16,11 +16,10 @@ MOVES = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)])
 
 
 class Maze(NamedTuple):
-    """The shifting maze as a grid.
+    """The shifting maze as a grid, with its true `reward`: minus the distance from the target.
 
-    `positions` are the centres of the cells in metres, rows of equal y one after another:
-    `v.reshape(cells, cells)` of a state function has y along its first axis and x along its second.
-    `reward` is the true one: minus the distance from the target, in metres.
+    `positions` are the centres of the cells, rows of equal y one after another: `v.reshape(cells,
+    cells)` of a state function has y along its first axis and x along its second.
     """
 
     mdp: MDP

@@ -32,20 +32,14 @@ class MDP:
         rows, states = transition.shape
         for wrong in np.flatnonzero(~are_distributions(transition)).tolist():
             s, a = divmod(wrong, rows // states)
-            total = transition[[wrong]].sum()
-            raise ValueError(
-                f"p(· | s={s}, a={a}) must be at least 0 and sum to 1, not {total:.6g}"
-            )
+            raise ValueError(f"p(· | s={s}, a={a}) must be at least 0 and sum to 1")
         initial = np.asarray(self.initial, dtype=float)
         if initial.shape != (states,) or not are_distributions(initial[None]).all():
             raise ValueError(f"initial must be ({states},), at least 0 and sum to 1, not {initial}")
         checked("horizon", self.horizon, Count | None)
         checked("discount", self.discount, Fraction)
         if self.horizon is None and self.discount == 1:
-            raise ValueError(
-                "without a horizon the discount must be below 1, or returns are infinite; choose "
-                "a horizon or a discount such as 0.99"
-            )
+            raise ValueError("without a horizon the discount must be below 1, such as 0.99")
         object.__setattr__(self, "transition", transition)
         object.__setattr__(self, "initial", initial)
 
@@ -79,8 +73,7 @@ class MDP:
         reward = np.asarray(reward, dtype=float)
         s, a = self.num_states, self.num_actions
         if reward.shape not in ((s,), (s, a), (s, a, s)):
-            wanted = f"{(s,)}, {(s, a)} or {(s, a, s)}"
-            raise ValueError(f"reward must have shape {wanted}, not {reward.shape}")
+            raise ValueError(f"reward must be {(s,)}, {(s, a)} or {(s, a, s)}, not {reward.shape}")
         if not np.isfinite(reward).all():
             raise ValueError("reward must be finite; to forbid an action, give it a large cost")
         if reward.ndim == 3:
@@ -93,13 +86,11 @@ class MDP:
         shape = (self.num_states, self.num_actions)
         timed = shape if self.horizon is None else (self.horizon, *shape)
         if policy.shape not in (shape, timed):
-            allowed = " or ".join(map(str, dict.fromkeys((shape, timed))))
-            raise ValueError(f"policy must have shape {allowed}, not {policy.shape}")
-        if not are_distributions(policy.reshape(-1, shape[1])).all():
             raise ValueError(
-                "policy must be at least 0 and sum to 1 over the actions of every state: pass "
-                "probabilities, not their logarithms"
+                f"policy is {policy.shape}; expected one of {sorted({shape, timed}, key=len)}"
             )
+        if not are_distributions(policy.reshape(-1, shape[1])).all():
+            raise ValueError("policy must be probabilities of the actions, not their logarithms")
         return np.broadcast_to(policy, timed)
 
 
@@ -114,10 +105,7 @@ def _as_matrix(transition) -> csr_array:
     rows, states = np.prod(array.shape[:-1], dtype=int), array.shape[-1]
     fits = issparse(array) or (array.ndim == 3 and array.shape[0] == states)
     if not fits or states == 0 or rows == 0 or rows % states:
-        raise ValueError(
-            "transition must be an array (S, A, S), or a sparse matrix of S·A rows and S columns, "
-            f"not {'sparse' if issparse(array) else 'an array'} {array.shape}"
-        )
+        raise ValueError(f"transition must be (S, A, S), or sparse (S·A, S), not {array.shape}")
     matrix = csr_array(array.reshape(rows, states), dtype=float)
     matrix.sum_duplicates()
     matrix.eliminate_zeros()

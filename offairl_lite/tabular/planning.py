@@ -12,8 +12,7 @@ from scipy.special import entr
 from offairl_lite.config.settings import NonNegative, checked
 from offairl_lite.tabular.mdp import MDP
 
-_ROUNDING = 1e-12
-"""Values that differ by less than this, relative to the largest, count as equal."""
+_ROUNDING = 1e-12  #: Values that differ by less than this, relative to the largest, count as equal.
 
 
 class Solution(NamedTuple):
@@ -53,9 +52,14 @@ def soft_value_iteration(
     """
     reward = mdp.expected_reward(reward)
     checked("temperature", temperature, NonNegative)
+    value = np.zeros(mdp.num_states) if guess is None or mdp.horizon else guess
     if mdp.horizon is not None:
-        return _backward_induction(mdp, reward, temperature)
-    value = np.zeros(mdp.num_states) if guess is None else guess
+        steps = []
+        for _ in range(mdp.horizon):
+            q = reward + mdp.discount * mdp.expect(value)
+            log_policy, value = _soft_maximum(q, temperature)
+            steps.append((log_policy, value, q))
+        return Solution(*(np.stack(part[::-1]) for part in zip(*steps, strict=True)))
     for _ in range(1000):
         q = reward + mdp.discount * mdp.expect(value)
         log_policy, improved = _soft_maximum(q, temperature)
@@ -66,24 +70,13 @@ def soft_value_iteration(
     raise ArithmeticError("soft value iteration has not converged in 1000 sweeps")
 
 
-def _backward_induction(mdp: MDP, reward: Float[Array, "S A"], temperature: float) -> Solution:
-    """Solve the soft Bellman equations of a process with a horizon backwards, from V_T = 0."""
-    steps, value = [], np.zeros(mdp.num_states)
-    for _ in range(mdp.horizon or 0):
-        q = reward + mdp.discount * mdp.expect(value)
-        log_policy, value = _soft_maximum(q, temperature)
-        steps.append((log_policy, value, q))
-    return Solution(*(np.stack(part[::-1]) for part in zip(*steps, strict=True)))
-
-
 def soft_evaluation(
     mdp: MDP, policy: Float[Array, "*T S A"], reward: Array, temperature: float = 1.0
 ) -> Solution:
     """Return the soft values of a given policy: its return plus α times its entropy.
 
-    V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. The
-    sum begins with the entropy in the state itself, as V of `soft_value_iteration` does. With a
-    temperature of 0 these are the ordinary values.
+    V = Σ_a π (Q - α log π) with Q = r + γ E[V(s')]: without a horizon one sparse linear system. At
+    α = 0 these are the ordinary values.
     """
     reward = mdp.expected_reward(reward)
     policy = mdp.checked_policy(policy)

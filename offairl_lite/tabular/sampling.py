@@ -27,10 +27,7 @@ def sample(
     policy = mdp.checked_policy(policy)
     length = mdp.horizon if length is None else length
     if length is None or not 1 <= length <= (mdp.horizon or length):
-        raise ValueError(
-            f"length must be at least 1 and at most the horizon, {mdp.horizon}, not {length}; "
-            "where there is no horizon it must be given"
-        )
+        raise ValueError(f"length must be from 1 to the horizon, {mdp.horizon}, not {length}")
     steps = policy if policy.ndim == 3 else np.broadcast_to(policy, (length, *policy.shape))
     state = _draw(np.broadcast_to(mdp.initial, (episodes, mdp.num_states)), rng)
     states, actions = [state], []
@@ -46,39 +43,22 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
     """Return the discounted counts of the demonstrated pairs (s, a), averaged over trajectories.
 
     The result estimates `planning.occupancy` and has the same sum: without a horizon the counts of
-    T actions are divided by 1 - γ^T, as if everything later were like the recorded part. It is a
-    ValueError if the trajectories cannot be from this process.
+    T actions are divided by 1 - γ^T, as if everything later were like the recorded part. ValueError
+    names a step that the process does not allow.
     """
     states, actions = (np.asarray(part) for part in trajectories)
-    _require_possible(mdp, states, actions)
     count, length = actions.shape
+    if mdp.horizon not in (None, length):
+        raise ValueError(f"trajectories have {length} actions, and the horizon is {mdp.horizon}")
+    taken = states[:, :-1] * mdp.num_actions + actions
+    chance = mdp.transition[taken.ravel(), states[:, 1:].ravel()].reshape(actions.shape)
+    for n, t in np.argwhere((chance == 0) | (mdp.initial[states[:, :1]] == 0)):
+        step = f"from state {states[n, t]} by action {actions[n, t]} to {states[n, t + 1]}"
+        raise ValueError(f"demonstration {n}, step {t}: {step}, or the start, has probability 0")
     weight = mdp.discount ** np.arange(length)
     weight = np.tile(weight * mdp.total_visits / weight.sum() / count, count)
-    pairs = (states[:, :-1] * mdp.num_actions + actions).ravel()
-    counts = np.bincount(pairs, weight, mdp.transition.shape[0])
+    counts = np.bincount(taken.ravel(), weight, mdp.transition.shape[0])
     return counts.reshape(mdp.num_states, mdp.num_actions)
-
-
-def _require_possible(mdp: MDP, states: Array, actions: Array) -> None:
-    """Raise ValueError unless these trajectories can come from the process."""
-    length = actions.shape[1]
-    if mdp.horizon not in (None, length):
-        raise ValueError(
-            f"trajectories of {length} actions cannot be compared with occupancies over the "
-            f"horizon {mdp.horizon}; make the two equal"
-        )
-    pairs = states[:, :-1] * mdp.num_actions + actions
-    chance = mdp.transition[pairs.ravel(), states[:, 1:].ravel()]
-    for n, t in np.argwhere(chance.reshape(actions.shape) == 0):
-        raise ValueError(
-            f"demonstration {n} goes at step {t} from state {states[n, t]} by action "
-            f"{actions[n, t]} to state {states[n, t + 1]}, which has probability 0; check that it "
-            "was recorded in this process"
-        )
-    for n in np.flatnonzero(mdp.initial[states[:, 0]] == 0):
-        raise ValueError(
-            f"demonstration {n} starts in state {states[n, 0]}, whose initial probability is 0"
-        )
 
 
 def _draw(probabilities: Float[Array, "N K"], rng: np.random.Generator) -> Int[Array, "N"]:

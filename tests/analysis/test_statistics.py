@@ -226,12 +226,3 @@ def test_the_exact_tests_find_a_difference_that_is_not_there_in_at_most_one_case
     mcnemar = [compare_successes(*paired(0, k, 12 - k, 0), True)[1] for k in range(13)]
     by_chance = scipy.stats.binom.pmf(np.arange(13), 12, 0.5)
     assert by_chance @ (np.array(mcnemar) < 0.05) <= 0.05
-
-
-def test_comparing_successes_needs_seeds_and_pairs_of_them():
-    with pytest.raises(ValueError, match="found 3 and 2 seeds, expected as many: pair those"):
-        compare_successes(np.ones(3, bool), np.ones(2, bool), paired=True)
-    with pytest.raises(ValueError, match="found 0 and 2 seeds; both need at least one"):
-        compare_successes(np.ones(0, bool), np.ones(2, bool), paired=False)
-    with pytest.raises(ValueError, match="needs at least one"):
-        success_rate(np.ones(0, bool))

@@ -197,7 +197,7 @@ def test_no_reward_is_paid_for(refused, acts, words):
 @pytest.mark.parametrize(
     ("policy", "given", "words"),
     [
-        (TWO, {}, "the policy has 2 members, and a film shows one"),
+        (TWO, {}, "the policy has 2 members; choose one"),
         (ONE, {"max_steps": 0}, f"max_steps is 0; {WHOLE} of at least 1"),
         (ONE, {"max_steps": -3}, f"max_steps is -3; {WHOLE} of at least 1"),
         (ONE, {"max_steps": 2.5}, f"max_steps is 2.5; {WHOLE} of at least 1"),

@@ -67,10 +67,15 @@ def opened(browser, tmp_path):
     assert wrong == []
 
 
+def words(place):
+    """What stands there, with plain spaces."""
+    return " ".join(place.inner_text().split())
+
+
 def said(view):
     """What a toy announces when it has learned."""
     view.wait_for_function("!toys.all[0].state().learning")
-    return view.locator(".toy-says").first.inner_text()
+    return words(view.locator(".toy-says").first)
 
 
 @pytest.fixture(scope="module")
@@ -269,6 +274,15 @@ def test_a_toy_has_a_still_for_paper_and_without_scripts(opened):
     assert min(still.bounding_box()["height"] for still in stills) > 100
 
 
+def test_whatever_a_finger_has_to_hit_is_large_enough(opened):
+    view = opened(*toys.TOYS, width=390, has_touch=True, is_mobile=True)
+    sizes = view.evaluate("""[...document.querySelectorAll(
+        '.toy button, .toy .toy-choice label, .toy input[type=range]')]
+      .map((e) => [e.offsetWidth, e.offsetHeight])""")
+    assert len(sizes) > 50
+    assert np.min(sizes) >= 40
+
+
 def test_toys_fit_a_phone_and_a_dark_page(opened):
     light, dark = (opened(*toys.TOYS, theme=theme, width=390) for theme in ("light", "dark"))
     paper = "getComputedStyle(document.querySelector('.toy')).backgroundColor"
@@ -378,13 +392,17 @@ def test_products_are_the_packages(compute):
     primitives = [{"mean": m, "std": s} for m, s in zip(mean, std, strict=True)]
     theirs = compute(f"""const primitives = {LIST(primitives)};
       return [toys.products.compose(primitives, {LIST(weight)}),
-        toys.products.mixture(primitives, {LIST(weight)}, [0.3, -0.2])];""")
+        toys.products.mixture(primitives, {LIST(weight)})([0.3, -0.2]),
+        toys.products.product(primitives, {LIST(weight)})([0.3, -0.2])];""")
     tensors = [torch.as_tensor(x) for x in (mean, np.log(std), weight)]
     for ours, key in zip(product_of_gaussians(*tensors), ("mean", "std"), strict=True):
         ours = ours if key == "mean" else ours.exp()
         np.testing.assert_allclose([part[key] for part in theirs[0]], ours, atol=1e-9)
     each = norm.pdf([0.3, -0.2], mean, std).prod(1)
     assert theirs[1] == pytest.approx(each @ weight / weight.sum())
+    parts = [(part["mean"], part["std"]) for part in theirs[0]]
+    product = [norm.pdf(x, *part) for x, part in zip([0.3, -0.2], parts, strict=True)]
+    assert theirs[2] == pytest.approx(np.prod(product))
 
 
 def test_the_squashed_density_is_that_of_the_plain_program(compute):
@@ -614,12 +632,12 @@ def test_the_pendulum_is_steered_by_hand_and_by_the_actor(opened):
     view = opened("pendulum")
     says, canvas = view.locator(".toy-says"), view.locator(".toy canvas")
     state = partial(view.evaluate, "toys.all[0].state()")
-    assert re.search(r"The actor steers\. Return −\d+ after 200 steps\. Upright", says.inner_text())
+    assert re.search(r"The actor steers\. Return −\d+ after 200 steps\. Upright", words(says))
     box = canvas.nth(1).bounding_box()
     view.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 0.4 * box["height"])
     assert 60 < state()["start"][0] < 160
     assert 0 < state()["start"][1] < 4
-    assert "Upright since" in says.inner_text()
+    assert "Upright since" in words(says)
     canvas.nth(1).press("ArrowUp")
     assert state()["time"] == 200
     view.get_by_role("radio", name="off").check()
@@ -635,11 +653,11 @@ def test_the_pendulum_is_steered_by_hand_and_by_the_actor(opened):
     view.mouse.move(centre[0] - 0.3 * box["width"], centre[1])
     view.mouse.down()
     view.wait_for_function(f"toys.all[0].state().time > {before + 5}")
-    assert says.inner_text().startswith("You steer")
+    assert words(says).startswith("You steer")
     view.mouse.up()
     canvas.nth(0).press("Space")
     assert state()["steers"] == "actor"
-    assert "Upright since" in says.inner_text()
+    assert "Upright since" in words(says)
 
 
 def test_a_policy_is_drawn_and_the_loop_runs_away(opened):
@@ -660,14 +678,16 @@ def test_a_policy_is_drawn_and_the_loop_runs_away(opened):
     after = state()["policy"][drawn["chosen"]]
     assert after == pytest.approx(2 * before / (1 + before))
     view.get_by_role("button", name="One round").click()
-    assert "Round 1." in says.inner_text()
+    assert "Round 1." in words(says)
     assert state()["policy"][drawn["chosen"]] < 1e-3
     view.evaluate("toys.all[0].finish()")
     assert state()["story"][-1] > 1e6
     view.get_by_text("f", exact=True).click()
-    view.get_by_label("temperature α").fill("0")
+    temperature = view.get_by_label("temperature α")
+    assert temperature.get_attribute("aria-valuetext") == "0.2"
+    temperature.fill("0")
     view.get_by_role("button", name="One round").click()
-    assert "Distance to the expert: 0 %" in says.inner_text()
+    assert "Distance to the expert: 0 %" in words(says)
     view.get_by_text("f − log mixture").click()
     view.evaluate("toys.all[0].finish()")
     assert max(state()["story"]) < 20
@@ -677,8 +697,8 @@ def test_a_second_film_is_changed_by_hand(opened):
     view = opened("worlds")
     says, canvas = view.locator(".toy-says"), view.locator(".toy canvas")
     state = partial(view.evaluate, "toys.all[0].state()")
-    assert "leave 144 directions open" in says.inner_text()
-    assert "scores 0 %" in says.inner_text()
+    assert "leave 144 directions open" in words(says)
+    assert "scores 0 %" in words(says)
     box = canvas.nth(1).bounding_box()
     size = (box["width"] - 14) / 12
     at = [(box["x"] + 7 + size * x, box["y"] + box["width"] - 7 - size * 7) for x in (4.5, 8.5)]
@@ -690,7 +710,7 @@ def test_a_second_film_is_changed_by_hand(opened):
     view.get_by_role("button", name="The same film again").click()
     view.get_by_label("commands that fail").press("ArrowRight")
     assert state()["change"]["slip"] == pytest.approx(0.05)
-    assert "leave only a constant open" in says.inner_text()
+    assert "leave only a constant open" in words(says)
     box = canvas.nth(2).bounding_box()
     size = (box["width"] - 14) / 12
     at = [
@@ -702,7 +722,7 @@ def test_a_second_film_is_changed_by_hand(opened):
     canvas.nth(2).press("ArrowRight")
     assert state()["fresh"] == {"row": 5, "door": 7}
     view.get_by_role("button", name="Another reward that fits").click()
-    assert "at 1.00. Its plan in the new maze scores 100 %" in says.inner_text()
+    assert "at 1.00. Its plan in the new maze scores 100 %" in words(says)
     view.get_by_text("in a hurry").click()
     assert state()["change"]["gamma"] == 0.9
 
@@ -725,7 +745,7 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     view.get_by_text("log D − log(1 − D)").click()
     view.evaluate("toys.all[1].finish()")
     says = view.locator(".toy-says").nth(1)
-    assert "expert 100 %, imitator 100 %" in says.inner_text()
+    assert "expert 100 %, imitator 100 %" in words(says)
     canvas.nth(3).press("ArrowDown")
     assert view.evaluate(state.format(1))["expert"] == pytest.approx(
         [0.95, 0.95, 0.95, 0.8, 0.95, 0.95, 0.95]
@@ -750,17 +770,17 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     for _ in range(4):
         canvas.nth(7).press("ArrowUp")
     says = view.locator(".toy-says").nth(3)
-    assert "the agent never ends" in says.inner_text()
+    assert "the agent never ends" in words(says)
     view.get_by_text("c, for ever").click()
-    assert "the agent walks to the goal" in says.inner_text()
+    assert "the agent walks to the goal" in words(says)
 
     canvas.nth(8).scroll_into_view_if_needed()
     says = view.locator(".toy-says").nth(4)
-    assert "arrives 3 cm from the star, after 29 moves" in says.inner_text()
+    assert "arrives 3 cm from the star, after 29 moves" in words(says)
     view.get_by_role("button", name="Move the wall").click()
     assert view.evaluate(state.format(4))["wall"]["from"] == 12
-    assert "arrives" in says.inner_text()
-    assert "(29 before the wall moved)" in says.inner_text()
+    assert "arrives" in words(says)
+    assert "(29 before the wall moved)" in words(says)
     box = canvas.nth(8).bounding_box()
     size = (box["width"] - 14) / 28
     at = [
@@ -769,13 +789,16 @@ def test_the_toys_of_the_chapters_answer_to_the_mouse_and_to_keys(opened):
     ]
     drag(view, *at)
     assert view.evaluate(state.format(4))["start"] == 25 + 28 * 12
-    assert "arrives" in says.inner_text()
+    assert "arrives" in words(says)
+    canvas.nth(8).press("Shift+ArrowLeft")
+    assert view.evaluate(state.format(4))["start"] == 24 + 28 * 12
+    assert view.evaluate(state.format(4))["wall"]["from"] == 12
 
     view.locator(".toy").nth(5).get_by_role("button", name="One round").click()
     says = view.locator(".toy-says").nth(5)
-    assert "Round 1." in says.inner_text()
+    assert "Round 1." in words(says)
     view.evaluate("toys.all[5].finish()")
-    assert re.search(r"Round 60\. Distance of the visits: \de−[3-9]", says.inner_text())
+    assert re.search(r"Round 60\. Distance of the visits: \de−[3-9]", words(says))
 
     box = view.locator(".toy").nth(6).locator("canvas")
     box.press("ArrowUp")

@@ -150,5 +150,5 @@ def test_an_empty_member_cannot_be_sampled():
 
 @pytest.mark.parametrize("batch", [numbered([0, 1, 2]), numbered([0, 1], action_dim=2)])
 def test_transitions_of_another_shape_are_refused(batch):
-    with pytest.raises(ValueError, match=r"this buffer takes \(2, 7\)"):
+    with pytest.raises(ValueError, match=r"this replay takes \(2, 7\)"):
         Replay(2, 3, 2, 1).add(batch)

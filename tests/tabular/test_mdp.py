@@ -49,12 +49,12 @@ def spoilt(where, value):
 @pytest.mark.parametrize(
     ("transition", "initial", "discount", "horizon", "message"),
     [
-        (spoilt((1, 2, 0), 0.4), START_2, 0.9, None, r"s=1, a=2.*sum to 1, not 0\.9"),
+        (spoilt((1, 2, 0), 0.4), START_2, 0.9, None, r"s=1, a=2.*sum to 1"),
         (spoilt((0, 1), [-0.5, 1.5]), START_2, 0.9, None, r"s=0, a=1.*at least 0"),
-        (spoilt((0, 0, 0), np.nan), START_2, 0.9, None, r"s=0, a=0.*nan"),
-        (HALF[0], START_2, 0.9, None, r"array \(S, A, S\).*not an array \(3, 2\)"),
-        (HALF[..., :1], START_2, 0.9, None, r"not an array \(2, 3, 1\)"),
-        (csr_array(np.full((3, 2), 0.5)), START_2, 0.9, None, r"S·A rows.*not sparse \(3, 2\)"),
+        (spoilt((0, 0, 0), np.nan), START_2, 0.9, None, "s=0, a=0"),
+        (HALF[0], START_2, 0.9, None, r"\(S, A, S\).*not \(3, 2\)"),
+        (HALF[..., :1], START_2, 0.9, None, r"not \(2, 3, 1\)"),
+        (csr_array(np.full((3, 2), 0.5)), START_2, 0.9, None, r"\(S·A, S\), not \(3, 2\)"),
         (HALF, np.ones(3) / 3, 0.9, None, r"initial must be \(2,\)"),
         (HALF, np.ones(2), 0.9, None, r"initial.*sum to 1, not \[1\. 1"),
         (HALF, START_2, 0.9, 0, "horizon is 0; expected a whole number of at least 1, or None"),
@@ -86,7 +86,7 @@ def test_what_is_no_policy_is_refused():
     log_policy = soft_value_iteration(mdp, np.zeros(6)).log_policy
     with pytest.raises(ValueError, match="not their logarithms"):
         occupancy(mdp, log_policy)
-    with pytest.raises(ValueError, match=r"shape \(6, 3\), not \(4, 6, 3\)"):
+    with pytest.raises(ValueError, match=r"is \(4, 6, 3\); expected one of \[\(6, 3\)\]"):
         occupancy(mdp, random_policy(timed, timed=True))
-    with pytest.raises(ValueError, match=r"shape \(6, 3\) or \(4, 6, 3\), not \(3, 6\)"):
+    with pytest.raises(ValueError, match=r"is \(3, 6\); expected one of \[\(6, 3\), \(4, 6, 3\)\]"):
         soft_evaluation(timed, np.full((3, 6), 1 / 6), np.zeros(6))

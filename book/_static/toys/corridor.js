@@ -74,7 +74,7 @@
   }
 
   function define(toy) {
-    let expert = [...EXPERTS.A], kind = "survive", policy, reward, k, playing = false, room = 3;
+    let expert = [...EXPERTS.A], kind = "survive", policy, reward, k, room = 3;
     let clock = 0, tick = 0;
     const crowd = (mine) => Array.from({length: count}, (_, i) => ({s: 3, before: 3, i, mine}));
     let crowds = [...crowd(false), ...crowd(true)];
@@ -98,7 +98,7 @@
       let far = 0;
       for (const s of rooms) for (const a of [0, 1]) far += Math.abs(theirs[s][a] - mine[s][a]) / 2;
       toy.say(`Round ${k}. Gone after 50 steps: expert ${percent(gone(expert))}, imitator `
-        + `${percent(gone(policy))}. Distance of their visits: ${percent(far)}.`, playing && k < rounds);
+        + `${percent(gone(policy))}. Distance of their visits: ${percent(far)}.`, game.playing && k < rounds);
     }
 
     function walk() {
@@ -168,8 +168,8 @@
         for (const {s, before, i, mine} of crowds) {
           const at = before + t * (s - before);
           if (at > ROOMS - 0.1) continue;
-          const x = g.x + (at + 0.2 + 0.6 * ((i * 0.618) % 1)) * g.size;
-          const y = g.lanes[+mine] + g.tall * (0.16 + 0.7 * ((i * 0.382) % 1));
+          const x = g.x + (at + 0.2 + 0.6 * ((i * 0.755) % 1)) * g.size;
+          const y = g.lanes[+mine] + g.tall * (0.16 + 0.7 * ((i * 0.57) % 1));
           window.toys.dot(ctx, x, y, 5, mine ? colour.learner : colour.expert, colour.rim, 1);
         }
       },
@@ -198,23 +198,15 @@
       restart();
     }
 
+    const again = () => { restart(); game.playing = true; };
     toy.choice("The reward is", Object.fromEntries(Object.entries(REWARDS)
-      .map(([key, {name}]) => [key, name])), kind, (key) => { kind = key; restart(); playing = true; });
+      .map(([key, {name}]) => [key, name])), kind, (key) => { kind = key; again(); });
     toy.choice("Expert", {A: "A leaves", B: "B stays"}, "A",
-      (key) => { expert = [...EXPERTS[key]]; restart(); playing = true; });
-    toy.button("Play", () => {
-      if (k >= rounds) restart();
-      playing = true;
-    }, {strong: true});
-    toy.button("One round", () => { playing = false; step(); });
-    toy.button("Restart", () => { playing = false; restart(); });
-
+      (key) => { expert = [...EXPERTS[key]]; again(); });
+    const game = toy.rounds({step, restart, over: () => k >= rounds});
     restart();
     toy.play((passed) => {
-      const busy = playing;
-      if (playing && k < rounds) step();
-      if (k >= rounds) playing = false;
-      if (window.toys.calm()) return busy || undefined;
+      if (window.toys.calm()) return undefined;
       clock += passed;
       if (clock > 0.45) {
         clock = 0;
@@ -222,8 +214,7 @@
       }
       return true;
     });
-    const finish = () => { while (k < rounds) step(); };
-    return {state: () => ({expert, kind, policy, reward, round: k}), pose: finish, finish};
+    return {state: () => ({expert, kind, policy, reward, round: k}), pose: game.finish, finish: game.finish};
   }
 
   window.toys.corridor = {REWARDS, EXPERTS, occupancy, actionValues, round, gone};

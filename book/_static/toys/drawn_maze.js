@@ -18,21 +18,26 @@
 
     function think() {
       ({policy, value} = planned(hand.wall, rewards[seed], value));
-      const way = walk(build(n, hand.wall), likeliest(policy), start);
-      ways = way;
+      ways = walk(build(n, hand.wall), likeliest(policy), start);
       clock = window.toys.calm() ? 1e6 : 0;
-      const left = far(way[way.length - 1]);
+      const left = far(ways[ways.length - 1]);
       before[seed] ??= planned(LEFT.wall, rewards[seed]).policy;
       const there = hand.wall.row !== LEFT.wall.row || hand.wall.from !== LEFT.wall.from;
       const old = walk(build(n, LEFT.wall), likeliest(before[seed]), start);
       toy.say(`Reward of seed ${seed}: ${left < 5 ? "arrives" : "stops"} ${left.toFixed(0)} cm from the `
-        + `star, after ${way.length - 2} moves of ${(70 / n).toFixed(1)} cm`
+        + `star, after ${ways.length - 2} moves of ${(70 / n).toFixed(1)} cm`
         + (there ? ` (${old.length - 2} before the wall moved).` : "."));
+    }
+
+    function begin(column, row) {
+      const [c, r] = [column, row].map((i) => Math.min(n - 1, Math.max(0, i)));
+      start = c + n * r;
+      think();
     }
 
     const pane = toy.pane({
       label: "The maze, coloured by a learned reward, with the way that is planned on it.",
-      help: "Arrow keys move the wall. Space lets the agent walk again.",
+      help: "Arrow keys move the wall, with the shift key the start. Space lets the agent walk again.",
       shape: "toy-alone",
       draw: (ctx, w, h, colour) => {
         const b = board(n, w);
@@ -60,15 +65,13 @@
       drag: (x, y) => {
         const b = board(n, pane.w);
         if (hand.holds()) return hand.drag(b, x, y);
-        start = b.at(x, y);
-        think();
+        const s = b.at(x, y);
+        begin(s % n, Math.floor(s / n));
       },
       drop: hand.drop,
       keys: {
-        ArrowLeft: () => hand.move({from: hand.wall.from - 1}),
-        ArrowRight: () => hand.move({from: hand.wall.from + 1}),
-        ArrowUp: () => hand.move({row: hand.wall.row + 1}),
-        ArrowDown: () => hand.move({row: hand.wall.row - 1}),
+        ...window.toys.arrowKeys((dx, dy, {shiftKey}) => (shiftKey ? begin((start % n) + dx, Math.floor(start / n) + dy)
+          : hand.move({from: hand.wall.from + dx, row: hand.wall.row + dy}))),
         Space: () => { clock = 0; },
       },
     });

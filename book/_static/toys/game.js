@@ -43,14 +43,16 @@
 
   function define(toy) {
     const theirs = expert(), uniform = new Float64Array(S * A).fill(1 / A);
-    let policy, now, story, eta = 0.2, sign = 1, playing = false, wait = 0;
+    let policy, now, story, eta = 0.2, sign = 1;
+
+    const over = () => story.length > rounds;
 
     function look() {
       now = compare(theirs, policy);
       story.push([now.distance, now.error]);
       const most = (x) => (x < 0.01 ? x.toExponential(0).replace("-", "−") : x.toFixed(2));
       toy.say(`Round ${story.length - 1}. Distance of the visits: ${most(now.distance)}. Error of the `
-        + `reward, largest minus smallest: ${most(now.error)}.`, playing && story.length <= rounds);
+        + `reward, largest minus smallest: ${most(now.error)}.`, game.playing && !over());
     }
 
     function restart() {
@@ -102,36 +104,12 @@
       },
     });
 
-    toy.choice("Step η", {1: "1", 0.5: "0.5", 0.2: "0.2", 0.1: "0.1"}, "0.2", (key) => {
-      eta = +key;
-      restart();
-      playing = true;
-    });
-    toy.choice("Label 1", {1: "the expert", "-1": "the policy"}, "1", (key) => {
-      sign = +key;
-      restart();
-      playing = true;
-    });
-    toy.button("Play", () => {
-      if (story.length > rounds) restart();
-      playing = true;
-    }, {strong: true});
-    toy.button("One round", () => { playing = false; step(); });
-    toy.button("Restart", () => { playing = false; restart(); });
+    const again = () => { restart(); game.playing = true; };
+    toy.choice("Step η", {1: "1", 0.5: "0.5", 0.2: "0.2", 0.1: "0.1"}, "0.2", (key) => { eta = +key; again(); });
+    toy.choice("Label 1", {1: "the expert", "-1": "the policy"}, "1", (key) => { sign = +key; again(); });
+    const game = toy.rounds({step, restart, over, pause: 0.06});
     restart();
-    toy.play((passed) => {
-      wait += passed;
-      if (!playing || wait < 0.06) return undefined;
-      wait = 0;
-      step();
-      if (story.length > rounds) playing = false;
-      return true;
-    });
-    const finish = () => {
-      playing = false;
-      while (story.length <= rounds) step();
-    };
-    return {state: () => ({eta, sign, round: story.length - 1, story}), finish,
+    return {state: () => ({eta, sign, round: story.length - 1, story}), finish: game.finish,
       pose: () => { for (let k = 0; k < 3; k++) step(); }};
   }
 

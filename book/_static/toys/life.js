@@ -44,7 +44,7 @@
 
   function define(toy) {
     let gamma = 0.9, shift = 0, own = false, clock = 0, map = null;
-    const wide = 49, high = 61;
+    const wide = 49, high = 61, raster = window.toys.raster(wide, high);
     const end = (c) => (own ? c : 0);
     const number = (x, digits = 1) => x.toFixed(digits).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
 
@@ -52,7 +52,7 @@
       map = [];
       for (let i = 0; i < wide * high; i++) {
         const g = NEAR + ((FAR - NEAR) * (i % wide)) / (wide - 1);
-        const c = LOW + ((HIGH - LOW) * (Math.floor(i / wide) + 0.5)) / high;
+        const c = HIGH - ((HIGH - LOW) * (Math.floor(i / wide) + 0.5)) / high;
         map.push(fate(c, g, end(c)));
       }
     }
@@ -117,11 +117,8 @@
       narrow: 0.85,
       draw: (ctx, w, h, colour) => {
         const b = box(w, h), paints = [colour.wall, colour.reward[2], colour.copy];
-        for (let i = 0; i < wide * high; i++) {
-          const x = b.x + (b.w * (i % wide)) / wide, y = b.y + b.h * (1 - (Math.floor(i / wide) + 1) / high);
-          ctx.fillStyle = paints[map[i]];
-          ctx.fillRect(x, y, b.w / wide + 0.6, b.h / high + 0.6);
-        }
+        raster.colours((i) => paints[map[i]], colour, map);
+        raster.draw(ctx, b, false);
         const to = window.toys.axes(ctx, b, [NEAR, FAR, LOW, HIGH], {...colour, line: "transparent"},
           {x: [0.5, 0.6, 0.7, 0.8, 0.9], y: [-2, -1, 0, 1], xLabel: "discount γ",
             yLabel: "constant c, added to every step"});
@@ -138,12 +135,7 @@
         return inside;
       },
       drag: aim,
-      keys: {
-        ArrowLeft: () => set(gamma - 0.01, shift),
-        ArrowRight: () => set(gamma + 0.01, shift),
-        ArrowUp: () => set(gamma, shift + 0.05),
-        ArrowDown: () => set(gamma, shift - 0.05),
-      },
+      keys: window.toys.arrowKeys((dx, dy) => set(gamma + 0.01 * dx, shift + 0.05 * dy)),
     });
 
     function aim(x, y) {

@@ -31,7 +31,6 @@
   function define(toy) {
     const usual = bump(-0.12, 0.36);
     let first = usual, kind = "logit", alpha = 0.2, share = 1, logPi, reward, story, chosen = 15;
-    let playing = false, wait = 0;
     const spread = () => Math.max(...reward) - Math.min(...reward);
     const show = (x) => (Math.abs(x) < 10 ? x.toFixed(Math.abs(x) < 0.1 ? 3 : 1)
       : Math.round(x).toLocaleString("en")).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
@@ -43,19 +42,19 @@
         : ` A round multiplies small errors by ${show(slope(kind, alpha, share))}.`;
       const far = logPi.reduce((sum, l, k) => sum + Math.abs(Math.exp(l) - Math.exp(expert[k])) / 2, 0);
       toy.say(`Round ${story.length - 1}. The reward's spread: ${show(spread())}. Distance to the expert: `
-        + `${Math.round(100 * far)} %.${error}`, playing);
+        + `${Math.round(100 * far)} %.${error}`, game.playing && !over());
     }
 
     function step() {
       logPi = round(kind, logPi, alpha, share);
       reward = paid(kind, logPi);
       story.push(spread());
-      if (over()) playing = false;
       tell();
     }
 
-    function restart(play = false) {
-      [logPi, reward, playing] = [first, paid(kind, first), play];
+    function restart(fresh = false) {
+      if (fresh) first = usual;
+      [logPi, reward] = [first, paid(kind, first)];
       story = [spread()];
       tell();
     }
@@ -63,10 +62,9 @@
     function paint(k, p) {
       const rest = logPi.map(Math.exp);
       rest[k] = Math.min(0.9, Math.max(1e-4, p));
-      first = logPi = normalised(rest.map((x) => Math.log(Math.max(1e-300, x))));
-      [chosen, playing, reward] = [k, false, paid(kind, logPi)];
-      story = [spread()];
-      tell();
+      first = normalised(rest.map((x) => Math.log(Math.max(1e-300, x))));
+      [chosen, game.playing] = [k, false];
+      restart();
     }
 
     const top = () => Math.max(0.2, Math.exp(Math.max(...logPi)) * 1.1);
@@ -152,24 +150,14 @@
 
     const names = Object.entries(REWARDS).map(([key, {name}]) => [key, name]);
     toy.choice("The policy is paid", Object.fromEntries(names), kind,
-      (key) => { kind = key; restart(true); });
+      (key) => { kind = key; restart(); game.playing = true; });
     toy.slider("temperature α", {min: -3, max: 1, step: 0.1, value: Math.log10(alpha),
       show: (x) => show(10 ** x)}, (x) => { alpha = 10 ** x; restart(); });
     toy.slider("share η of the answer", {min: 0.1, max: 1, step: 0.1, value: share,
       show: (x) => x.toFixed(1)}, (x) => { share = x; restart(); });
-    toy.button("Play", () => { if (over()) restart(); playing = true; }, {strong: true});
-    toy.button("One round", () => { playing = false; step(); });
-    toy.button("Restart", () => { first = usual; restart(); });
+    const game = toy.rounds({step, restart, over, pause: 0.25});
     restart();
-    toy.play((passed) => {
-      wait += passed;
-      if (!playing || wait < 0.25) return undefined;
-      wait = 0;
-      step();
-      return true;
-    });
-    const finish = () => { while (!over()) step(); };
-    return {state: () => ({kind, alpha, share, story, chosen, policy: logPi.map(Math.exp), reward}), finish,
+    return {state: () => ({kind, alpha, share, story, chosen, policy: logPi.map(Math.exp), reward}), finish: game.finish,
       pose: () => { for (let k = 0; k < 5; k++) step(); }};
   }
 

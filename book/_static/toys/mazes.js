@@ -247,6 +247,10 @@
 
   // The mean moves of a policy, on every second square of every second row.
   function arrows(ctx, b, policy, colour) {
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(b.x + b.pad, b.y + b.pad, b.side - 2 * b.pad, b.side - 2 * b.pad);
+    ctx.clip();
     for (let s = 0; s < b.n ** 2; s++) {
       if (s % 2 || Math.floor(s / b.n) % 2) continue;
       let [u, v] = [0, 0];
@@ -259,6 +263,7 @@
       window.toys.arrow(ctx, [x - far * u, y + far * v], [x + far * u, y - far * v], colour,
         Math.max(1, b.size / 11), Math.max(3, b.size / 4));
     }
+    ctx.restore();
   }
 
   function wall(ctx, b, {row, from, to}, colour, {ghost = false} = {}) {

@@ -47,8 +47,7 @@
     forward(net, [...observe(state), act(state) / STRONG])[0]));
 
   function define(toy) {
-    const wide = 90, high = 48, image = document.createElement("canvas"), values = [];
-    [image.width, image.height] = [wide, high];
+    const wide = 90, high = 48, raster = window.toys.raster(wide, high), values = [];
     for (let i = 0; i < wide * high; i++) {
       const x = (((i % wide) + 0.5) / wide * 2 - 1) * EDGE;
       const y = (1 - ((Math.floor(i / wide) + 0.5) / high) * 2) * FAST;
@@ -169,14 +168,9 @@
       ratio: 0.49,
       narrow: 0.7,
       draw: (ctx, w, h, colour) => {
-        const b = box(w, h), brush = image.getContext("2d");
-        if (map.paint.colour !== colour) values.forEach((value, i) => {
-          brush.fillStyle = window.toys.shade(colour.reward, (value - least) / (most - least));
-          brush.fillRect(i % wide, Math.floor(i / wide), 1, 1);
-        });
-        map.paint.colour = colour;
-        ctx.imageSmoothingQuality = "high";
-        ctx.drawImage(image, b.x, b.y, b.w, b.h);
+        const b = box(w, h);
+        raster.colours((i) => window.toys.shade(colour.reward, (values[i] - least) / (most - least)), colour);
+        raster.draw(ctx, b);
         const to = window.toys.axes(ctx, b, [-EDGE, EDGE, -FAST, FAST], {...colour, line: "transparent"},
           {y: [-8, -4, 0, 4, 8], yLabel: "speed (rad/s)"});
         for (const [x, name] of [[-180, "upright"], [0, "hanging"], [180, "upright"]])

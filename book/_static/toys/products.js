@@ -14,17 +14,19 @@
     });
   }
 
-  const density = ({mean, std}, x) => [0, 1].reduce((d, i) => d
-    * Math.exp(-(((x[i] - mean[i]) / std[i]) ** 2) / 2) / (std[i] * Math.sqrt(2 * Math.PI)), 1);
+  const density = ({mean, std}, [x, y]) => Math.exp(-(((x - mean[0]) / std[0]) ** 2
+    + ((y - mean[1]) / std[1]) ** 2) / 2) / (2 * Math.PI * std[0] * std[1]);
 
-  function product(primitives, weights, x) {
+  // Both as functions of the two actions.
+  function product(primitives, weights) {
     const parts = compose(primitives, weights);
-    return density({mean: parts.map((p) => p.mean), std: parts.map((p) => p.std)}, x);
+    const one = {mean: parts.map((p) => p.mean), std: parts.map((p) => p.std)};
+    return (x) => density(one, x);
   }
 
-  function mixture(primitives, weights, x) {
-    const total = weights[0] + weights[1];
-    return primitives.reduce((sum, one, k) => sum + (weights[k] / total) * density(one, x), 0);
+  function mixture([one, other], weights) {
+    const share = weights[0] / (weights[0] + weights[1]);
+    return (x) => share * density(one, x) + (1 - share) * density(other, x);
   }
 
   function define(toy) {
@@ -60,24 +62,19 @@
       move(one, [one.at[0] + dx, one.at[1] + dy]);
     }
 
-    [["multiplied", product], ["added", mixture]].forEach(([title, value]) => {
-      const image = document.createElement("canvas");
-      image.width = image.height = grid;
+    [["multiplied", product], ["added", mixture]].forEach(([title, together]) => {
+      const raster = window.toys.raster(grid, grid);
       const pane = toy.pane({
         title,
         label: `Two policies over two actions, ${title}.`,
         help: "Space chooses a handle, arrow keys move it.",
         draw: (ctx, w, h, colour) => {
-          const brush = image.getContext("2d"), values = [];
-          for (let i = 0; i < grid ** 2; i++)
-            values.push(value(primitives, weights, from(grid, (i % grid) + 0.5, Math.floor(i / grid) + 0.5)));
+          const value = together(primitives, weights);
+          const values = Float64Array.from({length: grid ** 2},
+            (_, i) => value(from(grid, (i % grid) + 0.5, Math.floor(i / grid) + 0.5)));
           const most = Math.max(...values);
-          values.forEach((v, i) => {
-            brush.fillStyle = window.toys.shade(colour.reward, (v / most) ** 0.8);
-            brush.fillRect(i % grid, Math.floor(i / grid), 1, 1);
-          });
-          ctx.imageSmoothingQuality = "high";
-          ctx.drawImage(image, 0, 0, w, h);
+          raster.colours((i) => window.toys.shade(colour.reward, (values[i] / most) ** 0.8));
+          raster.draw(ctx, {x: 0, y: 0, w, h});
           const place = to(w);
           window.toys.line(ctx, [place(-reach, 0), place(reach, 0)], colour.line, 1);
           window.toys.line(ctx, [place(0, -reach), place(0, reach)], colour.line, 1);
@@ -95,7 +92,7 @@
             if (part === "mean") window.toys.dot(ctx, x, y, 9, paint, colour.card, 2);
             else window.toys.dot(ctx, x, y, 6, colour.card, paint, 3);
           });
-          if (value === product) {
+          if (together === product) {
             const [x, y] = compose(primitives, weights);
             window.toys.star(ctx, ...place(x.mean, y.mean), 8, colour.learner, colour.rim);
           }
@@ -113,10 +110,7 @@
         drag: (x, y) => move(held, from(pane.w, x, y)),
         keys: {
           Space: () => { chosen = (chosen + 1) % 6; },
-          ArrowLeft: () => nudge(-0.1, 0),
-          ArrowRight: () => nudge(0.1, 0),
-          ArrowUp: () => nudge(0, 0.1),
-          ArrowDown: () => nudge(0, -0.1),
+          ...window.toys.arrowKeys((dx, dy) => nudge(0.1 * dx, 0.1 * dy)),
         },
       });
       for (const event of ["focus", "blur"]) pane.canvas.addEventListener(event, () => toy.redraw());

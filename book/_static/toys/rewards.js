@@ -9,9 +9,10 @@
   start[MAZES[0].start] = 1;
 
   // Planning with a reward in a maze: the policy, and its true return from the start.
-  function planned({to, reward: truth}, reward, temperature) {
-    const {policy} = solve(to, reward, temperature, gamma);
-    return {policy, value: score(visits(to, policy, start, gamma), policy, truth)};
+  // `guess` are values to begin with.
+  function planned({to, reward: truth}, reward, temperature, guess) {
+    const {policy, value: values} = solve(to, reward, temperature, gamma, {guess});
+    return {policy, values, value: score(visits(to, policy, start, gamma), policy, truth)};
   }
 
   // What the optimiser sees: the exact visits of an expert that starts everywhere.
@@ -38,7 +39,7 @@
     const best = MAZES.map((maze) => planned(maze, maze.reward, alpha).value);
     const worst = score(visits(MAZES[1].to, old, start, gamma), old, MAZES[1].reward);
     const percent = (value, k) => Math.round((100 * (value - worst)) / (best[k] - worst));
-    const fits = {state: [], pair: []}, curves = {state: [], pair: []};
+    const fits = {state: [], pair: []}, curves = {state: [], pair: []}, values = {};
     const lessons = {state: maxent(MAZES[0].to, seen, initial, alpha, gamma, true),
       pair: maxent(MAZES[0].to, seen, initial, alpha, gamma, false)};
     let kind = "pair", step = 0, temperature = alpha, extra = false, follow = true, now = null;
@@ -46,7 +47,7 @@
     function think() {
       const base = fits[kind][Math.min(step, fits[kind].length - 1)];
       const reward = extra ? shaped(base, noise) : base;
-      const plans = MAZES.map((maze) => planned(maze, reward, temperature));
+      const plans = MAZES.map((maze, k) => planned(maze, reward, temperature, now?.plans[k].values));
       const sorted = Float64Array.from(reward).sort();
       now = {reward, plans, low: sorted[Math.floor(sorted.length * 0.03)],
         high: sorted[Math.floor((sorted.length - 1) * 0.999)]};
@@ -62,8 +63,9 @@
       made.push(lessons[which].next().value);
       const k = made.length - 1;
       if (k % every) return;
-      const value = planned(MAZES[1], made[k], alpha).value;
-      curves[which].push([k, percent(value, 1)]);
+      const plan = planned(MAZES[1], made[k], alpha, values[which]);
+      values[which] = plan.values;
+      curves[which].push([k, percent(plan.value, 1)]);
     }
 
     MAZES.forEach((maze, k) => toy.pane({

@@ -78,12 +78,7 @@
         return inside;
       },
       drag: (x) => aim(x),
-      keys: {
-        ArrowLeft: () => set(mean - 0.1, std),
-        ArrowRight: () => set(mean + 0.1, std),
-        ArrowUp: () => set(mean, std + 0.1),
-        ArrowDown: () => set(mean, std - 0.1),
-      },
+      keys: window.toys.arrowKeys((dx, dy) => set(mean + 0.1 * dx, std + 0.1 * dy)),
     });
 
     function aim(x) {

@@ -137,9 +137,31 @@ window.toys = window.toys || (() => {
     return to;
   }
 
-  // The four arrow keys: `act(dx, dy)`, up being positive.
+  // A map of wide × high colours, row by row from the top: `colours(shade, ...of)` fills it, but not
+  // again for the same `of`; `draw` spreads it over a box.
+  function raster(wide, high) {
+    const image = element("canvas", {width: wide, height: high}), brush = image.getContext("2d");
+    let made = [];
+    return {
+      colours: (shade, ...of) => {
+        if (of.length && of.every((x, i) => x === made[i])) return;
+        made = of;
+        for (let i = 0; i < wide * high; i++) {
+          brush.fillStyle = shade(i);
+          brush.fillRect(i % wide, Math.floor(i / wide), 1, 1);
+        }
+      },
+      draw: (ctx, {x, y, w, h}, smooth = true) => {
+        ctx.imageSmoothingEnabled = smooth;
+        ctx.imageSmoothingQuality = "high";
+        ctx.drawImage(image, x, y, w, h);
+      },
+    };
+  }
+
+  // The four arrow keys: `act(dx, dy, event)`, up being positive.
   const arrowKeys = (act) => Object.fromEntries([["Left", -1, 0], ["Right", 1, 0], ["Up", 0, 1], ["Down", 0, -1]]
-    .map(([name, dx, dy]) => [`Arrow${name}`, () => act(dx, dy)]));
+    .map(([name, dx, dy]) => [`Arrow${name}`, (event) => act(dx, dy, event)]));
 
   class Toy {
     constructor(root) {
@@ -177,6 +199,7 @@ window.toys = window.toys || (() => {
     // What has happened, read aloud unless it is one of many steps.
     say(words, quiet = false) {
       this.said.setAttribute("aria-live", quiet ? "off" : "polite");
+      words = words.replace(/(\d) %/g, "$1\u00a0%"); // in one line
       if (this.said.textContent !== words) this.said.textContent = words;
     }
 
@@ -270,9 +293,14 @@ window.toys = window.toys || (() => {
     }
 
     slider(words, {min, max, step = 1, value, show = (x) => `${x}`}, act) {
-      const out = element("output", {}, show(value));
-      const input = element("input", {type: "range", min, max, step, value, "aria-label": words});
-      const set = (x) => { input.value = x; out.textContent = show(+input.value); };
+      const out = element("output");
+      const input = element("input", {type: "range", min, max, step, "aria-label": words});
+      const set = (x) => {
+        input.value = x;
+        out.textContent = show(+input.value);
+        input.setAttribute("aria-valuetext", out.textContent);
+      };
+      set(value);
       input.addEventListener("input", () => { set(+input.value); act(+input.value); this.redraw(); });
       this.bar.append(element("label", {class: "toy-slider"}, element("span", {}, words), input, out));
       return {input, set};
@@ -281,15 +309,34 @@ window.toys = window.toys || (() => {
     // One of several: `options` maps names to what is shown.
     choice(words, options, value, act) {
       const name = `toy-${all.length}-${this.bar.children.length}`;
-      const group = element("fieldset", {class: "toy-choice"}, element("legend", {}, words));
+      const group = element("div"); // As a whole below the words, where there is no room beside them.
       for (const [key, shown] of Object.entries(options)) {
         const input = element("input", {type: "radio", name, value: key});
         input.checked = key === value;
         input.addEventListener("change", () => { act(key); this.redraw(); });
         group.append(element("label", {}, input, element("span", {}, shown)));
       }
-      this.bar.append(group);
+      this.bar.append(element("fieldset", {class: "toy-choice"}, element("legend", {}, words), group));
       return {set: (key) => group.querySelectorAll("input").forEach((i) => (i.checked = i.value === key))};
+    }
+
+    // Buttons for a game in rounds, each of which is played by `step`; `over` says when it has ended,
+    // and `pause` how many seconds a round is seen. `restart(true)` gives up what was drawn, too.
+    rounds({step, restart, over, pause = 0}) {
+      const game = {playing: false, finish: () => { while (!over()) step(); }};
+      let wait = 0;
+      this.button("Play", () => { if (over()) restart(); game.playing = true; }, {strong: true});
+      this.button("One round", () => { game.playing = false; step(); });
+      this.button("Restart", () => { game.playing = false; restart(true); });
+      this.play((passed) => {
+        wait += passed;
+        if (!game.playing || wait < pause) return undefined;
+        wait = 0;
+        step();
+        if (over()) game.playing = false;
+        return true;
+      });
+      return game;
     }
 
     // Call `frame(seconds)` before each picture while the toy is seen, until it returns false; the
@@ -328,5 +375,6 @@ window.toys = window.toys || (() => {
   if (document.body) whenReady();
   else window.addEventListener("DOMContentLoaded", whenReady);
 
-  return {all, definitions, start, calm, element, shade, text, line, dot, star, arrow, axes, arrowKeys};
+  return {all, definitions, start, calm, element, shade, text, line, dot, star, arrow, axes, raster,
+    arrowKeys};
 })();

@@ -239,7 +239,7 @@
       paint.walker(ctx, x + aside * b.size, y, Math.max(7, 0.52 * b.size), fill, colour, look);
     }
 
-    const step = (dx, dy) => () => {
+    const step = (dx, dy) => {
       if (!drawing) return hand.move({from: hand.wall.from + dx, row: hand.wall.row + dy});
       const to = Math.min(n - 1, Math.max(0, (pen % n) + dx))
         + n * Math.min(n - 1, Math.max(0, Math.floor(pen / n) + dy));
@@ -257,8 +257,7 @@
       help: "Arrow keys move the wall. Space lets both agents walk again.",
       shape: "toy-wide",
       draw: scene,
-      keys: {ArrowLeft: step(-1, 0), ArrowRight: step(1, 0), ArrowUp: step(0, 1),
-        ArrowDown: step(0, -1), Space: space, Enter: space},
+      keys: {...window.toys.arrowKeys(step), Space: space, Enter: space},
       grab: (x, y, ask) => {
         const b = board(n, pane.w), wanted = hand.hit(b, x, y);
         if (!ask && wanted) hand.grab(b, x, y);

@@ -109,14 +109,17 @@
       for (const view of views.slice(1)) unshape(places[0], view(shaping)).forEach((v, i) => { sum[i] += v; });
       return sum;
     });
-    const rest = new Set(m.keys());
-    while (rest.size) {
-      const k = [...rest].reduce((a, b) => (m[b][b] > m[a][a] ? b : a));
+    let rest = [...m.keys()];
+    while (rest.length) {
+      const k = rest.reduce((a, b) => (m[b][b] > m[a][a] ? b : a));
       if (m[k][k] < 1e-9) break;
-      rest.delete(k);
-      for (const i of rest) for (const j of rest) m[i][j] -= (m[i][k] * m[k][j]) / m[k][k];
+      rest = rest.filter((i) => i !== k);
+      for (const i of rest) {
+        const share = m[i][k] / m[k][k];
+        for (const j of rest) m[i][j] -= share * m[k][j];
+      }
     }
-    return rest.size;
+    return rest.length;
   }
 
   function centred(x) {

@@ -4,8 +4,8 @@ import pytest
 import torch
 from matplotlib.colors import to_hex
 
+import plots
 from offairl_lite import tabular
-from offairl_lite.analysis import plots
 from offairl_lite.analysis.statistics import bootstrap_interval, interquartile_mean
 from offairl_lite.core.networks import Normaliser, StackedMLP
 from offairl_lite.core.rewards import Reward
