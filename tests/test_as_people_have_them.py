@@ -8,13 +8,14 @@ import pytest
 import torch
 from own_task import BOX, Arm, Noisy
 
-from offairl_lite import demonstrations, envs, minari_storage
+from offairl_lite import AIRL, demonstrations, envs, minari_storage
+from offairl_lite.cloning import clone
 from offairl_lite.config import CORRECTED, Config
 from offairl_lite.core.loop import Stop, Trainer, train
 from offairl_lite.core.rollouts import LONGEST, rollout
 from offairl_lite.demonstrations import Recording
 from offairl_lite.envs import OneHotActions, TaskError
-from offairl_lite.runs import launch, messages, preflight, records
+from offairl_lite.runs import cli, launch, messages, preflight, records
 
 ARM = "ownbot/Arm-v0"
 EPISODE = np.zeros((6, 2)), np.zeros((5, 2))
@@ -225,7 +226,6 @@ def test_discrete_actions_are_imitated_through_a_wrapper(monkeypatch):
     try:
         recording = Recording(np.stack(obs), cart.encode(np.array(actions)))
         data = demonstrations.of([recording], "BoxCartPole-v0")
-        from offairl_lite.cloning import clone
 
         policy = clone(data, (0,), hidden=(16,), steps=300, progress=False)
         assert rollout(policy, "BoxCartPole-v0", (0,), 2).returns.mean() > 100  # A random one: 22.
@@ -534,3 +534,38 @@ def test_what_a_reward_sees_goes_with_an_absorbing_state(tiny, random_demonstrat
     assert len({base, y, absorbing}) == 3
     with pytest.raises(ValueError, match="indices from 0 to 2"):
         Trainer(tiny.change(reward_sees=(3,), absorbing="bootstrap"), (0,), data)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("sweep maze-imitation", "write run NAME --grid SETTING=VALUE,VALUE"),
+        ("run imitate --generator td3", "write --learner"),
+        ("run imitate --carry=policy", "write --pretrained"),
+        ("run imitate --no-policy-in-logit", "write --loss log-ratio"),
+        ("run imitate --replay-density mixture", "write --loss airl-mixture"),
+    ],
+)
+def test_what_is_no_more_says_what_to_write_instead(command, words):
+    with pytest.raises(SystemExit, match=words):
+        cli.main(command.split())
+
+
+def test_earlier_names_say_what_they_are_called_now(capsys, own):
+    own(ARM)
+    with pytest.raises(SystemExit):
+        cli.main(["run", "imitate", "--env-id", "none/such-v0", "--warmup_steps=5"])
+    assert "--learning-starts" in capsys.readouterr().err
+    with pytest.warns(FutureWarning, match="update_every is called train_every"):
+        assert AIRL(ARM, [EPISODE], update_every=7).config.schedule.train_every == 7
+
+
+def test_a_clone_for_an_absorbing_state_says_how_to_make_it(own):
+    own(ARM)
+    data = shown(ARM)
+    policy = clone(data, (0,), hidden=(8,), steps=1, progress=False)
+    config = CORRECTED.change(
+        env_id=ARM, hidden=(8,), pretrained="policy", absorbing="bootstrap", total_steps=20_000
+    )
+    with pytest.raises(ValueError, match="clone with absorbing_state=True"):
+        preflight.check(config, (0,), data, {"pretrained_policy": policy})

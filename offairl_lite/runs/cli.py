@@ -334,9 +334,10 @@ def main(args: Sequence[str] | None = None) -> None:
     with messages.one_line():
         for old in {*args[:1], *(arg for arg in args if arg.startswith("--"))} & REMOVED.keys():
             raise ValueError(f"{old} is of an earlier version: write {REMOVED[old]}")
-        for old, new in EARLIER.items():
-            if f"--{old}".replace("_", "-") in (arg.split("=")[0] for arg in given):
-                messages.note(f"{old}=... is {new}=... now; the earlier name will go")
+        for name in {
+            arg.split("=")[0].lstrip("-").replace("-", "_") for arg in given
+        } & EARLIER.keys():
+            messages.note(f"{name} is called {EARLIER[name]} now; the earlier name will go")
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.
         free = [arg for before, arg in pairwise(["", *args]) if not before.startswith("--")]
