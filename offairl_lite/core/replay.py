@@ -152,9 +152,9 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
 
 def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
     """Return an empty replay that can be rewound by `memory` steps."""
-    members, *dims, device, _ = layout
+    (members, obs_dim, action_dim, device, _), size = layout, schedule.replay_size
     slots = replay_slots(schedule, memory)
-    return Replay(members, schedule.replay_size, *dims, device, file=file, slots=slots)
+    return Replay(members, size, obs_dim, action_dim, device, file=file, slots=slots)
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:
