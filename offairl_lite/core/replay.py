@@ -152,9 +152,9 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
 
 def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
     """Return an empty replay that can be rewound by `memory` steps."""
-    slots, size = replay_slots(schedule, memory), schedule.replay_size
-    dims = layout.obs_dim, layout.action_dim
-    return Replay(layout.members, size, *dims, layout.device, file=file, slots=slots)
+    (members, obs_dim, action_dim, device, _), size = layout, schedule.replay_size
+    slots = replay_slots(schedule, memory)
+    return Replay(members, size, obs_dim, action_dim, device, file=file, slots=slots)
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:
