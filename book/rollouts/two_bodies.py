@@ -2,10 +2,9 @@
 
 CustomAnt has four strong legs, DisabledAnt two weak ones on its right. The
 second body is DisabledAnt seen in a mirror, so its left legs are weak, and
-DisabledAnt's expert demonstrates it, in the mirror. Rewards of the whole
-state are learned with the recipe, from the mirror image alone or together
-with CustomAnt, from 50 demonstrations in all. DisabledAnt is trained from
-scratch on them, five agents on each.
+DisabledAnt's expert demonstrates it, in the mirror. A reward of the whole
+state is learned from both with the recipe, from 50 demonstrations in all.
+DisabledAnt is trained from scratch on it.
 
 It takes about forty minutes, with a compiler. What is trained is kept in
 `runs/two_bodies`, and is not trained again: remove the folder to start
@@ -22,36 +21,33 @@ import numpy as np
 import torch
 
 from offairl_lite import demonstrations, experiments, worlds
-from offairl_lite.config import Config
 from offairl_lite.core import loop
 from offairl_lite.core.acceleration import Execution, compiler
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import rollout
+from offairl_lite.core.rollouts import Episodes, rollout
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS
 from offairl_lite.runs import records
-from offairl_lite.tabular import apart
 from rollouts import RECORDS
-from rollouts.third_maze import say
-from rollouts.two_mazes import SEEDS, make_known, wander
+from rollouts.two_mazes import SEEDS, make_known
 
 WORK = Path("runs/two_bodies")
 ABLE, WEAK, MIRRORED = (
     f"offairl/{name}Ant-v0" for name in ("Custom", "Disabled", "Mirrored")
 )
-SHOWN = {"both": [ABLE, MIRRORED], "mirrored": [MIRRORED]}
-"""The bodies that are demonstrated, with the same number in all."""
-FORMS = {"r(s)": "r-s", "r(s, a)": "r-sa"}
-RUNS = (
-    ("r(s)", "both"),
-    ("r(s, a)", "both"),
-    ("r(s)", "mirrored"),
-)
+BODIES = (ABLE, MIRRORED)
+"""They are demonstrated equally often."""
 STEPS = 50_000
 OF_ABLE = "locomotion-demo/CustomAnt-airl"
 """The reward from CustomAnt alone, of ten times as many steps."""
+RECORDED = {
+    "able": "state-recipe",
+    "velocity, able": "velocity-recipe-raw",
+    "true": "true",
+}
+"""New agents on DisabledAnt that others than these rewards pay."""
 
 
 def record() -> dict[str, Any]:
@@ -59,14 +55,19 @@ def record() -> dict[str, Any]:
     register()
     WORK.mkdir(parents=True, exist_ok=True)
     result: dict[str, Any] = {"imitators": {}, "new": {}, "says": {}}
+    for name, folder in RECORDED.items():
+        place = RECORDS / f"decides-transfer-demo/{folder}/scratch"
+        result["new"][name] = ends_of(records.read(place))
     of_able = records.read(RECORDS / OF_ABLE).reward
-    result["says"]["r(s), able"] = says(of_able)
-    for form, shown in RUNS:
-        name = f"{form}, {shown}"
-        reward, result["imitators"][name] = learned(form, shown)
-        result["says"][name] = says(reward)
-        result["new"][name] = retrained(form, shown, reward)
-    return result | {"distances": distances()}
+    walks = [
+        rollout(demonstrations.expert(body).member(0), WEAK, (0,), 5)
+        for body in (ABLE, WEAK)
+    ]
+    result["says"]["able"] = says(of_able, walks)
+    reward, result["imitators"] = learned()
+    result["says"]["both"] = says(reward, walks)
+    result["new"]["both"] = retrained(reward)
+    return result
 
 
 # ---- The mirror ----
@@ -163,43 +164,32 @@ def execution() -> Execution:
     return Execution(compile=compiler() is not None)
 
 
-def learned(form: str, shown: str) -> tuple[Reward, list]:
+def learned() -> tuple[Reward, dict[str, list]]:
     """Return a reward, and the imitators' last returns on each body."""
-    file = WORK / f"{FORMS[form]}-{shown}.safetensors"
+    file = WORK / "r-s-both.safetensors"
     ends = file.with_suffix(".json")
     if not ends.is_file():
-        bodies = SHOWN[shown]
         config = experiments.configure("locomotion/CustomAnt-airl", "demo")
         config = config.change(
-            reward=FORMS[form],
-            total_steps=STEPS,
-            eval_every=10_000,
-            eval_episodes=2,
-            env_id=bodies[0],
+            total_steps=STEPS, eval_every=10_000, eval_episodes=2
         )
-        runs = imitated(
-            config, [shown_by(b, 50 // len(bodies)) for b in bodies]
+        shown = [shown_by(body, 25) for body in BODIES]
+        runs = worlds.train(
+            config, SEEDS, shown, execution=execution(), progress=False
         )
         assert runs[0].reward is not None
         runs[0].reward.save(file)
-        last = [run.returns.tolist() for run in runs]
-        ends.write_text(json.dumps(last), "utf-8")
-        say(form, shown, last)
+        curves = [run.returns.tolist() for run in runs]
+        ends.write_text(json.dumps(curves), "utf-8")
     curves = json.loads(ends.read_text("utf-8"))
-    return Reward.load(file), [[row[-1] for row in body] for body in curves]
+    last = [[row[-1] for row in body] for body in curves]
+    names = map(demonstrations.short_name, BODIES)
+    return Reward.load(file), dict(zip(names, last, strict=True))
 
 
-def imitated(config: Config, shown: list[Demonstrations]) -> list[Run]:
-    """Learn one reward from one body or from two."""
-    how = {"execution": execution(), "progress": False}
-    if len(shown) == 1:
-        return [loop.train(config, SEEDS, shown[0], **how)]
-    return worlds.train(config, SEEDS, shown, **how)
-
-
-def retrained(form: str, shown: str, reward: Reward) -> dict[str, list]:
+def retrained(reward: Reward) -> dict[str, list]:
     """Return the last returns of new agents, true and learned."""
-    kept = WORK / f"{FORMS[form]}-{shown}-new.json"
+    kept = WORK / "r-s-both-new.json"
     if not kept.is_file():
         config = experiments.configure(
             "ant-transfer/scratch", "demo"
@@ -211,29 +201,32 @@ def retrained(form: str, shown: str, reward: Reward) -> dict[str, list]:
             execution=execution(),
             progress=False,
         )
-        learned = [
-            row.learned_return for row in run.rows if row.step == STEPS
-        ]
-        both = {"true": run.returns[:, -1].tolist(), "learned": learned}
-        kept.write_text(json.dumps(both), "utf-8")
-        say(form, shown, both, run.returns.tolist())
+        kept.write_text(json.dumps(ends_of(run)), "utf-8")
     return json.loads(kept.read_text("utf-8"))
+
+
+def ends_of(run: Run) -> dict[str, list]:
+    """Return the last returns, by the task's reward and the learned one."""
+    last = [row for row in run.rows if row.step == STEPS]
+    return {
+        "true": [row.mean_return for row in last],
+        "learned": [
+            row.learned_return
+            for row in last
+            if np.isfinite(row.learned_return)
+        ],
+    }
 
 
 # ---- Why ----
 
 
-def says(reward: Reward) -> dict[str, list]:
+def says(reward: Reward, walks: list[Episodes]) -> dict[str, list]:
     """Return what rewards pay on DisabledAnt, and how that correlates.
 
     The mean of a step of CustomAnt's expert, who is helpless there, and of
-    its own; and the correlation with the true reward over both and random
-    actions.
+    its own, and the correlation with the true reward over both.
     """
-    walks = [
-        rollout(demonstrations.expert(body).member(0), WEAK, (0,), 5)
-        for body in (ABLE, WEAK)
-    ]
     obs, action, true = (
         [getattr(walk, part) for walk in walks]
         for part in ("obs", "action", "reward")
@@ -252,17 +245,5 @@ def says(reward: Reward) -> dict[str, list]:
     return {
         "helpless": paid[0].mean(1).tolist(),
         "walk": paid[1].mean(1).tolist(),
-        "walking": [np.corrcoef(r, true[1].ravel())[0, 1] for r in paid[1]],
         "correlation": [np.corrcoef(r, truth)[0, 1] for r in both],
-    }
-
-
-def distances() -> dict[str, list]:
-    """Return distances from CustomAnt, and between halves, by draw."""
-    return {
-        demonstrations.short_name(body): [
-            apart([wander(ABLE, 2 * i), wander(body, 2 * i + 1)])
-            for i in range(3)
-        ]
-        for body in (ABLE, MIRRORED, WEAK)
     }
