@@ -222,14 +222,17 @@ def only_turned_controls_stand_out(nets):
 
 @recorded
 def one_maze_is_enough(mazes):
-    """On r(s, a) from one maze three of five new agents arrive where the
-    wall has moved, from two mazes four; with mirrored controls all do."""
-    arrived = {name: (x > -15).sum() for name, x in mazes["new"].items()}
-    assert arrived["r(s, a), none, moved"] == 3
-    assert arrived["r(s, a), turned, moved"] == 4
-    assert arrived["r(s, a), none, mirrored"] == 5
-    assert arrived["r(s, a), turned, mirrored"] == 5
-    assert -27 < mazes["levels"]["copy"].mean() < -26
+    """On rewards of one maze 18 of 20 new agents arrive, and 18 of 20 on
+    those of two with turned controls; on r(s, a) of two with weak motors
+    seven of ten, on the true reward five of five. Stuck is about -27."""
+    arrived = {"none": 0, "turned": 0, "weak": 0}
+    for name, ends in mazes["new"].items():
+        assert len(ends) == 5
+        arrived[name.split(", ")[-2]] += (ends > -15).sum()
+    assert arrived == {"none": 18, "turned": 18, "weak": 7}
+    assert len(mazes["new"]) == 10
+    assert (mazes["levels"]["true"] > -15).all()
+    assert round(mazes["levels"]["copy"].mean()) == -27
 
 
 @recorded

@@ -199,7 +199,13 @@ def third(
     """Draw what new agents reach in a third maze, and with a third body."""
     with plots.style():
         _, axes = plt.subplots(1, 2, figsize=(6.4, 3.0))
-    rows = "r(s, a), none", "r(s, a), turned", "r(s), none", "r(s), turned"
+    rows = {
+        "r(s, a), none": "r(s, a), Left",
+        "r(s, a), turned": "and turned",
+        "r(s, a), weak": "and weak",
+        "r(s), none": "r(s), Left",
+        "r(s), turned": "and turned",
+    }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
         ("mirrored", plots.BLUE, 0.15, "mirrored, too"),
@@ -207,9 +213,8 @@ def third(
         ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
         _strips(axes[0], ends, color, side, label)
     _strips(axes[0], [mazes["levels"]["true"]], plots.GREY, first=len(rows))
-    names = [row.replace("none", "one maze") for row in rows]
-    names = [name.replace("turned", "two mazes") for name in names]
-    _name_strips(axes[0], [*names, "true reward"], "return, third maze")
+    names = [*rows.values(), "true reward"]
+    _name_strips(axes[0], names, "return, third maze")
     axes[0].legend(loc="lower left", handletextpad=0.1)
     ants = {
         "one body": "able",

@@ -1,9 +1,10 @@
 """What a reward from one maze, or from two, is worth in a third.
 
 Experts demonstrate the maze with the barrier on the left, or that and the
-same maze with turned controls, 50 times in all. New agents are paid by the
-reward in mazes that nobody has demonstrated. The rewards from one maze and
-from two pay one population, of which five agents belong to each.
+same maze with turned controls or weak motors, 50 times in all. New agents
+are paid by the reward in mazes that nobody has demonstrated. Rewards from
+one maze and from two pay one population, of which five agents belong to
+each.
 
 It takes a quarter of an hour. What is trained is kept in `runs/third_maze`,
 and is not trained again: remove the folder to start afresh.
@@ -12,6 +13,7 @@ and is not trained again: remove the folder to start afresh.
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,14 @@ import torch
 from offairl_lite import demonstrations, experiments, worlds
 from offairl_lite.core import loop
 from offairl_lite.core.networks import Normaliser
+from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs import TASKS, models
 from offairl_lite.runs import records
 from rollouts import RECORDS, two_mazes
-from rollouts.two_mazes import LEFT, RECORDED, RIGHT, SEEDS
+from rollouts.two_mazes import LEFT, RECORDED, RIGHT, SEEDS, WEAK
 
 WORK = Path("runs/third_maze")
 MIRRORED = "offairl/PointMazeMirrored-v0"
@@ -41,15 +44,13 @@ def record() -> dict[str, Any]:
     """Return the last returns of imitators and of new agents."""
     register()
     WORK.mkdir(parents=True, exist_ok=True)
-    result: dict[str, Any] = {"imitators": {}, "likeness": {}, "new": {}}
+    result: dict[str, Any] = {"new": {}}
     for form in FORMS:
         one = records.read(RECORDS / RECORDED[form]).reward
-        both, result["imitators"][form] = learned(form)
-        rewards = {"none": one, "turned": both}
-        for name, reward in rewards.items():
-            said = two_mazes.likenesses(reward)
-            result["likeness"][f"{form}, {name}"] = said
-        for place in NEW:
+        groups = [{"none": one, "turned": learned(form, "turned")}]
+        if form == "r(s, a)":
+            groups.append({"weak": learned(form, "weak")})
+        for rewards, place in product(groups, NEW):
             for name, last in retrained(form, place, rewards).items():
                 result["new"][f"{form}, {name}, {place}"] = last
     return result | {"levels": levels()}
@@ -67,20 +68,43 @@ def register() -> None:
     two_mazes.make_known(MIRRORED, TASKS[LEFT], _mirrored)
 
 
-def learned(form: str) -> tuple[Reward, list]:
-    """Return a reward from two mazes, and the imitators' last returns."""
-    file = WORK / f"{FORMS[form]}-turned.safetensors"
-    ends = file.with_suffix(".json")
-    if not ends.is_file():
+def learned(form: str, second: str) -> Reward:
+    """Return a reward from Left and a second maze."""
+    file = WORK / f"{FORMS[form]}-{second}.safetensors"
+    if not file.is_file():
+        shown = two_mazes.shown_in_both()
+        if second == "weak":
+            episodes = demonstrations.record(weak_expert(), WEAK, 25)
+            shown[1] = demonstrations.of(episodes, WEAK)
         config = experiments.configure("maze-imitation", "demo")
         config = config.change(reward=FORMS[form])
-        shown = two_mazes.shown_in_both()
         runs = worlds.train(config, SEEDS, shown, progress=False)
         assert runs[0].reward is not None
         runs[0].reward.save(file)
-        last = [run.returns[:, -1].tolist() for run in runs]
-        ends.write_text(json.dumps(last), "utf-8")
-    return Reward.load(file), json.loads(ends.read_text("utf-8"))
+    return Reward.load(file)
+
+
+def weak_expert() -> Policy:
+    """Return experts with weak motors, trained from the strong ones'."""
+    file = WORK / "weak-expert.safetensors"
+    if not file.is_file():
+        config = experiments.configure("maze-expert", "demo").change(
+            env_id=WEAK,
+            pretrained="policy",
+            learning_starts=100,
+            random_hold=1.0,
+            total_steps=6_000,
+        )
+        policy = demonstrations.expert(LEFT)
+        run = loop.train(
+            config,
+            range(len(policy)),
+            pretrained_policy=policy,
+            progress=False,
+        )
+        assert run.policy is not None
+        run.policy.save(file)
+    return Policy.load(file)
 
 
 def retrained(
