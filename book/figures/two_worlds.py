@@ -212,10 +212,11 @@ def third(
     ):
         ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
         _strips(axes[0], ends, color, side, label)
-    _strips(axes[0], [mazes["levels"]["true"]], plots.GREY, first=len(rows))
+    _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
     names = [*rows.values(), "true reward"]
     _name_strips(axes[0], names, "return, third maze")
-    axes[0].legend(loc="lower left", handletextpad=0.1)
+    at = {"loc": "center", "bbox_to_anchor": (0.42, 0.36)}
+    axes[0].legend(handletextpad=0.1, **at)
     ants = {
         "one body": "able",
         "two bodies": "both",

@@ -26,7 +26,6 @@ from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
 from offairl_lite.core.results import Run
 from offairl_lite.core.rewards import Reward
-from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs import TASKS, models
 from offairl_lite.runs import records
 from rollouts import RECORDS, two_mazes
@@ -41,10 +40,11 @@ TRUE = "maze-transfer-rewards-demo/true/true-scratch"
 
 
 def record() -> dict[str, Any]:
-    """Return the last returns of imitators and of new agents."""
+    """Return the last returns of new agents."""
     register()
     WORK.mkdir(parents=True, exist_ok=True)
-    result: dict[str, Any] = {"new": {}}
+    true = records.read(RECORDS / TRUE).returns[:, -1]
+    result: dict[str, Any] = {"new": {}, "true": true}
     for form in FORMS:
         one = records.read(RECORDS / RECORDED[form]).reward
         groups = [{"none": one, "turned": learned(form, "turned")}]
@@ -53,7 +53,7 @@ def record() -> dict[str, Any]:
         for rewards, place in product(groups, NEW):
             for name, last in retrained(form, place, rewards).items():
                 result["new"][f"{form}, {name}, {place}"] = last
-    return result | {"levels": levels()}
+    return result
 
 
 def _mirrored() -> mujoco.MjModel:
@@ -140,19 +140,3 @@ def paid(env_id: str, reward: Reward) -> Run:
         frozen_reward=reward,
         progress=False,
     )
-
-
-def levels() -> dict[str, Any]:
-    """Return what Left's experts and Right's get, and SAC, on Right.
-
-    With mirrored controls the same ways and returns are possible, so these
-    are the levels of both.
-    """
-    found: dict[str, Any] = {
-        "true": records.read(RECORDS / TRUE).returns[:, -1]
-    }
-    for name, home in (("copy", LEFT), ("expert", RIGHT)):
-        policy = demonstrations.expert(home)
-        walks = rollout(policy, RIGHT, range(len(policy)), 10)
-        found[name] = walks.returns.mean(1)
-    return found
