@@ -218,3 +218,65 @@ def only_turned_controls_stand_out(nets):
         ("Weak", 0.9, 1.4),
     ):
         assert low < apart[name].min() < apart[name].max() < high, name
+
+
+@recorded
+def one_maze_is_enough(mazes):
+    """On rewards of one maze 18 of 20 new agents arrive, and 18 of 20 on
+    those of two with turned controls; on r(s, a) of two with weak motors
+    seven of ten, on the true reward five of five. Stuck is about -27."""
+    arrived = {"none": 0, "turned": 0, "weak": 0}
+    for name, ends in mazes["new"].items():
+        assert len(ends) == 5
+        stuck = ends[ends < -15]
+        assert (np.abs(stuck + 27.1) < 0.6).all()
+        arrived[name.split(", ")[-2]] += (ends > -15).sum()
+    assert arrived == {"none": 18, "turned": 18, "weak": 7}
+    assert len(mazes["new"]) == 10
+    assert (mazes["true"] > -15).all()
+
+
+@recorded
+def imitators_on_two_bodies_walk(bodies):
+    """CustomAnt's imitators return 1295 to 1776, those of the mirror image
+    of DisabledAnt 834 to 959."""
+    ends = bodies["imitators"].values()
+    assert [(round(x.min()), round(x.max())) for x in ends] == [
+        (1295, 1776),
+        (834, 959),
+    ]
+
+
+@recorded
+def no_ant_walks_on_the_whole_state(bodies):
+    """From two bodies -18 to -10, from one no better; the reward of the
+    velocity leads to 490 to 553, and the true one to more than 400."""
+    ends = {name: x["true"] for name, x in bodies["new"].items()}
+    assert (round(ends["both"].min()), round(ends["both"].max())) == (
+        -18,
+        -10,
+    )
+    assert ends["able"].max() < 0
+    walks = ends["velocity, able"]
+    assert (round(walks.min()), round(walks.max())) == (490, 553)
+    assert ends["true"].min() > 400
+    assert {len(x) for x in ends.values()} == {5}
+
+
+@recorded
+def the_reward_prefers_not_to_walk(bodies):
+    """By each reward from two bodies DisabledAnt's expert is paid more than
+    CustomAnt's, who is helpless there, and new ants more than either: -2.2
+    to -1.3 a step, and the expert -3.6 to -2.4. From one body new ants are
+    paid more than the expert as well."""
+    says = bodies["says"]["both"]
+    paid = bodies["new"]["both"]["learned"] / 1_000
+    assert (says["helpless"] < says["walk"]).all()
+    assert (says["walk"] < paid).all()
+    for values, ends in (
+        (paid, (-2.2, -1.3)),
+        (says["walk"], (-3.6, -2.4)),
+    ):
+        assert (round(values.min(), 1), round(values.max(), 1)) == ends
+    one = bodies["new"]["able"]["learned"] / 1_000
+    assert (bodies["says"]["able"]["walk"] < one).all()

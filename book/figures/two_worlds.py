@@ -191,3 +191,60 @@ def networks(kept: Mapping[str, Mapping]) -> None:
     axes[1].set_ylabel("estimated distance σ")
     axes[1].legend(loc="upper left")
     plt.show()
+
+
+def third(
+    mazes: Mapping[str, Mapping], bodies: Mapping[str, Mapping]
+) -> None:
+    """Draw what new agents reach in a third maze, and with a third body."""
+    with plots.style():
+        _, axes = plt.subplots(1, 2, figsize=(6.4, 3.0))
+    rows = {
+        "r(s, a), none": "r(s, a), Left",
+        "r(s, a), turned": "and turned",
+        "r(s, a), weak": "and weak",
+        "r(s), none": "r(s), Left",
+        "r(s), turned": "and turned",
+    }
+    for maze, color, side, label in (
+        ("moved", plots.ORANGE, -0.15, "wall moved"),
+        ("mirrored", plots.BLUE, 0.15, "mirrored, too"),
+    ):
+        ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
+        _strips(axes[0], ends, color, side, label)
+    _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
+    names = [*rows.values(), "true reward"]
+    _name_strips(axes[0], names, "return, third maze")
+    at = {"loc": "center", "bbox_to_anchor": (0.42, 0.36)}
+    axes[0].legend(handletextpad=0.1, **at)
+    ants = {
+        "one body": "able",
+        "two bodies": "both",
+        "velocity": "velocity, able",
+        "true reward": "true",
+    }
+    colors = plots.ORANGE, plots.BLUE, plots.ORANGE, plots.GREY
+    for y, (name, color) in enumerate(
+        zip(ants.values(), colors, strict=True)
+    ):
+        _strips(axes[1], [bodies["new"][name]["true"]], color, first=y)
+    _name_strips(axes[1], [*ants], "return, DisabledAnt")
+    plt.show()
+
+
+def _strips(ax, ends, color, side=0.0, label=None, first=0) -> None:
+    style = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
+    for y, values in enumerate(ends, first):
+        ax.plot(
+            values,
+            [y + side] * len(values),
+            color=color,
+            label=label if y == first else None,
+            **style,
+        )
+
+
+def _name_strips(ax, names, xlabel) -> None:
+    ax.set(xlabel=xlabel, yticks=range(len(names)))
+    ax.set_yticklabels(names)
+    ax.set_ylim(len(names) - 0.5, -0.5)

@@ -33,6 +33,7 @@ from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.demonstrations import Demonstrations
 from offairl_lite.envs import TASKS, models
+from offairl_lite.envs.tasks import Task
 from offairl_lite.plain import adam, descend, mlp
 from offairl_lite.runs import records
 from offairl_lite.tabular import apart, policy_return, soft_value_iteration
@@ -172,16 +173,20 @@ def _weak() -> mujoco.MjModel:
 
 def register() -> None:
     """Make these mazes known, as the others are."""
-    makers: dict[str, Callable] = {TURNED: _turned, WEAK: _weak}
-    for env_id, model in makers.items():
-        TASKS[env_id] = replace(TASKS[LEFT], model=model)
-        gymnasium.register(
-            env_id,
-            entry_point="offairl_lite.envs:SingleEnv",
-            vector_entry_point="offairl_lite.envs:BatchedEnv",
-            max_episode_steps=TASKS[env_id].max_episode_steps,
-            kwargs={"task": env_id},
-        )
+    make_known(TURNED, TASKS[LEFT], _turned)
+    make_known(WEAK, TASKS[LEFT], _weak)
+
+
+def make_known(env_id: str, like: Task, model: Callable) -> None:
+    """Register a task that is like another one, but for its model."""
+    TASKS[env_id] = replace(like, model=model)
+    gymnasium.register(
+        env_id,
+        entry_point="offairl_lite.envs:SingleEnv",
+        vector_entry_point="offairl_lite.envs:BatchedEnv",
+        max_episode_steps=like.max_episode_steps,
+        kwargs={"task": env_id},
+    )
 
 
 class Steps(NamedTuple):
@@ -194,12 +199,12 @@ class Steps(NamedTuple):
 
 def wander(env_id: str, seed: int, steps: int = 30_000) -> Steps:
     """Record random actions, each held for ten steps on average."""
-    rng, count = np.random.default_rng(seed), 10
-    action, rows = rng.uniform(-1, 1, (count, 2)), []
+    rng, count, rows = np.random.default_rng(seed), 10, []
     with closing(envs.make(env_id, count, seed * count)) as env:
-        obs, _ = env.reset()
+        shape = env.action_space.shape
+        action, (obs, _) = rng.uniform(-1, 1, shape), env.reset()
         for _ in range(steps // count):
-            other = rng.uniform(-1, 1, (count, 2))
+            other = rng.uniform(-1, 1, shape)
             action = np.where(rng.random((count, 1)) < 0.1, other, action)
             next_obs, _, _, done, _ = env.step(action.astype(np.float32))
             rows.append((obs, action, next_obs))
@@ -256,12 +261,6 @@ def of_reward(rewards: Reward) -> dict[str, Any]:
     places; and what they pay Left's experts, who are stuck there, and
     Right's.
     """
-    maze, count = tabular.maze(20, "Right"), len(rewards)
-    places = np.repeat(maze.positions, 5, 0)
-    obs = torch.zeros(count, len(places), 3)
-    obs[..., :2] = torch.from_numpy(places)
-    pushes = torch.from_numpy(np.tile(tabular.MOVES, (400, 1))).float()
-    r = rewards(obs, pushes.expand(count, -1, -1)).double().numpy()
     paid = {}
     for name, maze_id in (("stuck", LEFT), ("expert", RIGHT)):
         policy = demonstrations.expert(maze_id)
@@ -270,7 +269,17 @@ def of_reward(rewards: Reward) -> dict[str, Any]:
             learned_returns(
                 walks, rewards.member(*[i] * len(policy))
             ).mean()
-            for i in range(count)
+            for i in range(len(rewards))
         ]
-    alike = [likeness(each.reshape(-1, 5), maze.reward) for each in r]
-    return {"likeness": alike, **paid}
+    return {"likeness": likenesses(rewards), **paid}
+
+
+def likenesses(rewards: Reward) -> list[tuple[float, float]]:
+    """Return each reward's correlation and the action's share, as above."""
+    maze, count = tabular.maze(20, "Right"), len(rewards)
+    places = np.repeat(maze.positions, 5, 0)
+    obs = torch.zeros(count, len(places), 3)
+    obs[..., :2] = torch.from_numpy(places)
+    pushes = torch.from_numpy(np.tile(tabular.MOVES, (400, 1))).float()
+    r = rewards(obs, pushes.expand(count, -1, -1)).double().numpy()
+    return [likeness(each.reshape(-1, 5), maze.reward) for each in r]

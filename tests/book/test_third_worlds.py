@@ -1,0 +1,87 @@
+"""The mazes and ants on which the rewards of two worlds are tried, for chapter 12."""
+
+from contextlib import closing
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from offairl_lite import demonstrations, envs
+from offairl_lite.core.rollouts import rollout
+from offairl_lite.envs import TASKS
+from offairl_lite.runs import records
+from rollouts import RECORDS, third_maze, two_bodies, two_mazes
+
+IMAGE = "offairl/CustomAntImage-v0"
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    """No other test knows of these tasks."""
+    known = {*TASKS}
+    yield
+    for env_id in {*TASKS} - known:
+        del TASKS[env_id], gymnasium.registry[env_id]
+
+
+def walk(env_id, actions, start=None):
+    """The observations of a walk, from an ant's observed start."""
+    with closing(envs.make(env_id, 1, 0)) as env:
+        obs, _ = env.reset()
+        if start is not None:
+            env._qpos[0, 2:], env._qvel[0] = start[:13], start[13:27]
+        return np.stack([obs[0], *(env.step(action[None])[0][0] for action in actions)])
+
+
+def test_two_mirrors_change_nothing():
+    for order, sign in (two_bodies.mirror(), two_bodies.mirrored_actions()):
+        numbers = np.arange(len(order)) + 1.0
+        image = numbers[order] * sign
+        assert sorted(abs(image)) == sorted(numbers)
+        assert (image[order] * sign == numbers).all()
+    assert len(two_bodies.mirror()[0]) == 111
+
+
+def test_customant_looks_the_same_in_the_mirror():
+    """But for its eyes, which weigh little, so that steps differ a little."""
+    two_bodies.in_the_mirror(two_bodies.ABLE, IMAGE)
+    order, sign = two_bodies.mirror()
+    actions = np.random.default_rng(0).uniform(-1, 1, (9, 8)).astype(np.float32)
+    ant = walk(two_bodies.ABLE, actions)
+    image = walk(IMAGE, actions, ant[0][order] * sign)[1:]
+    assert np.abs(image - ant[1:])[:, :27].max() < 0.05
+    others = actions[:, np.roll(np.arange(8), 2)]  # each leg moves as another should
+    assert np.abs(walk(two_bodies.ABLE, others) - ant)[1:, :27].max() > 0.5
+
+
+def test_the_mirror_image_of_disabledant_has_weak_left_legs():
+    two_bodies.register()
+    ant, image = (TASKS[name].model() for name in (two_bodies.WEAK, two_bodies.MIRRORED))
+    strength = abs(ant.actuator_gear[:, 0]), abs(image.actuator_gear[:, 0])
+    legs = [np.repeat(two_bodies.LEGS, 2)[force == 1].tolist() for force in strength]
+    assert legs == [[4, 4, 3, 3], [1, 1, 2, 2]]
+
+
+@pytest.mark.parametrize("form", third_maze.FORMS)
+def test_rewards_beside_each_other_say_what_they_say_alone(form):
+    one = records.read(RECORDS / two_mazes.RECORDED[form]).reward
+    both = third_maze.beside([one, one.member(2, 0)])
+    rng = torch.Generator().manual_seed(0)
+    obs, action = (torch.randn(7, 4, n, generator=rng) for n in (3, 2))
+    members = [both(obs, action)[i] for i in (4, 5, 6)]
+    alone = [
+        one.member(k)(obs[i : i + 1], action[i : i + 1])[0] for i, k in ((4, 4), (5, 2), (6, 0))
+    ]
+    torch.testing.assert_close(members, alone)
+
+
+def test_the_third_maze_asks_for_another_way_and_its_mirror_for_other_pushes():
+    third_maze.register()
+    left = demonstrations.expert(two_mazes.LEFT).member(0)
+    for maze in third_maze.NEW.values():
+        assert rollout(left, maze, (0,), 1).returns.mean() < -25
+    pushes = np.random.default_rng(0).uniform(-1, 1, (20, 2)).astype(np.float32)
+    way = walk(two_mazes.RIGHT, pushes)
+    assert np.allclose(walk(third_maze.MIRRORED, pushes * np.float32([-1, 1])), way)
+    assert not np.allclose(walk(third_maze.MIRRORED, pushes), way, atol=0.01)
