@@ -641,6 +641,7 @@ def draw(cells: Cells) -> Figure:
     for ax in (axes[1, 1], axes[2, 0]):
         ax.set_xlabel("demonstrations")
     axes[-1, -1].axis("off")
+    axes[0, 0].text(-0.45, 104, "expert", color=plots.GREY)
     style = {"markersize": 6, "linewidth": 1.5}
     marks = [
         Line2D(

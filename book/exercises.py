@@ -56,7 +56,10 @@ def verdict(label: str, answer: Answer) -> str:
     except Wrong as wrong:
         return f"Not yet. {wrong}"
     except NameError as error:
-        return f"It stops: {error}. Have the page's cells above been run?"
+        return (
+            f"It stops: {error}. Have the page's cells above been run? In "
+            "JupyterLab: Run, Run All Above Selected Cell."
+        )
     except Exception as error:
         return f"It stops: {type(error).__name__}: {error}"
     return "Right."

@@ -33,6 +33,9 @@ AROUND_MAPS = f"""
 image {{ filter: brightness(0.85) }}
 [id^=axes_]:not(:has(image)) {{ {TURNED} }}
 #figure_1 > [id^=text_], {MAP} [id^=text_] {{ fill: #e8e8e8 }}
+{MAP} > [id^=patch_] path[style*="fill: #ffffff"] {{
+  fill: none !important
+}}
 {MAP} [id^=_Walls] path,
 {MAP} [id*=tick_] use,
 {MAP} > [id^=patch_] path[style*="stroke: #000000"] {{

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import torch
 
+import rollouts
 from checks import exact, live, recorded
 from offairl_lite import demonstrations, experiments
 from offairl_lite.analysis import epic
@@ -179,10 +180,42 @@ def share_of_the_warm_up(demo):
 
 @recorded
 def who_arrives(counted):
-    """As they are, and cold, none of ten seeds arrives; soft, six; learned,
-    all ten; with the mixture, five."""
+    """As they are, cold, and with another's log π none of ten seeds
+    arrives; clipped, four; with the mixture, five; soft, six; learned, all
+    ten."""
     numbers = [int(count.split()[0]) for count in counted.values()]
-    assert numbers == [0, 0, 6, 10, 5]
+    assert numbers == [0, 0, 0, 4, 5, 6, 10]
+
+
+@recorded
+def the_tail_alone_leads_astray(alone, last_q):
+    """With another agent's log π, which has the tail and no loop, all ten
+    seeds return less than the -50 of standing still, and values stay
+    between 250 and 700."""
+    for name in LOGIT:
+        other = f"{name}-another's"
+        assert alone[other]["returns"][:, -1].max() < -60
+        assert (alone[other]["tail"] < -50).all()
+        assert 250 < last_q(other).min() < last_q(other).max() < 700
+
+
+@recorded
+def the_loop_alone_does_not_explode(last_q):
+    """With the loop and no tail values stay below 50, where the logit as it
+    is has thousands at least."""
+    for name in LOGIT:
+        assert last_q(f"{name}-clipped").max() < 50
+        assert last_q(name).min() > 5_000
+
+
+@recorded
+def state_only_dac_finds_the_new_gap():
+    """The frozen g(s, s') of state-only DAC, which has no form, leads all
+    five new policies to the goal once the wall has moved."""
+    kept = rollouts.read("tail_and_loop")["state-only DAC"]
+    for ends in (kept["imitation"][:, -1], kept["transfer"][:, -1]):
+        assert len(ends) == 5
+        assert (ends > ARRIVED).all()
 
 
 @recorded

@@ -138,8 +138,8 @@ def two_targets(k, learned, predicted, R_T):
         ax.plot(k, learned["bootstrap"], color=plots.BLUE)
         ax.plot(k, learned["analytic"], "-.", color=plots.ORANGE)
         ax.plot(k, predicted, "k:")
-        ax.text(330, -4.2, "bootstrap", color=plots.BLUE)
-        ax.text(330, -5.2, "dotted: predicted")
+        ax.text(420, -4, "bootstrap", color=plots.BLUE)
+        ax.text(420, -5, "dotted: predicted")
         ax.text(110, -8.3, "analytic", color=plots.ORANGE)
         plots.level(ax, R_T, "$R_T$")
         ax.set(

@@ -195,9 +195,12 @@ def gates(five, run, expert, ends):
         shown = expert.returns.mean()
         for ax in axes:
             plots.level(ax, shown, "demonstrations", plots.GREEN)
-        axes[0].set(
-            xlabel="environment steps", ylabel="return", ylim=(-32, -4)
-        )
+        axes[0].set(xlabel="steps", ylabel="score", ylim=(-32, -4))
+        for ax, ticks in (
+            (axes[0], (-26.5, -16.5, -6.5)),
+            (axes[1], (-12.5, -10.5, -8.5, -6.5)),
+        ):
+            ax.set_yticks(ticks, [drawing.percent(x) for x in ticks])
         for i, (name, (_, color)) in enumerate(GATES.items()):
             end = np.sort(ends[name])
             spread = i + np.linspace(-0.2, 0.2, len(end))
@@ -207,7 +210,7 @@ def gates(five, run, expert, ends):
             )
         labels = [label for label, _ in GATES.values()]
         axes[1].set_xticks(range(len(GATES)), labels)
-        axes[1].set(ylabel="return at the end", ylim=(-13, -5.5))
+        axes[1].set(ylabel="score at the end", ylim=(-13, -5.5))
         plt.show()
 
 
@@ -215,12 +218,12 @@ def full_size(at_full_size, plain):
     """Return the table of runs with networks of full size."""
     rows = []
     for name, end in at_full_size.items():
-        apart, low, high = difference(end, plain)
-        between = f"{apart:+.2f} [{low:+.2f}, {high:+.2f}]"
-        mean = f"{interquartile_mean(end):.2f}"
-        row = (name, mean, between if end is not plain else "")
-        rows.append([cell.replace("-", "−") for cell in row])
-    head = ("actor", "interquartile mean", "difference [95 %]")
+        points = [5 * x for x in difference(end, plain)]  # 20 are 100 %
+        between = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*points)
+        mean = drawing.percent(interquartile_mean(end))
+        between = between.replace("-", "−") if end is not plain else ""
+        rows.append((name, mean, between))
+    head = ("actor", "score<br>(interquartile mean)", "difference [95 %]")
     return drawing.table(head, rows)
 
 

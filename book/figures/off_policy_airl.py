@@ -277,7 +277,7 @@ def behind_the_star(imitation, released, line, kept):
             (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
             (axes[0], 0.555, -0.8, "log-ratio loss", plots.ORANGE),
             (axes[1], 0.495, -30, "experts", plots.GREEN),
-            (axes[1], 0.558, -9, "own actions", plots.BLUE),
+            (axes[1], 0.558, -13, "own\nactions", plots.BLUE),
         ):
             ax.text(x, y, text, color=color, ha="right")
         axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")

@@ -241,11 +241,11 @@ def crossed(WORDS, counted):
             (
                 "<b>loop in the reward</b>",
                 cell("", "-cold"),
-                cell("-mixture") + "<br>(a weaker loop)",
+                cell("-clipped", "-mixture") + " (a weaker loop)",
             ),
             (
                 "<b>no loop there</b>",
-                "not tested",
+                cell("-another's"),
                 cell("-soft", "-learned"),
             ),
         ],

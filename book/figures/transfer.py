@@ -8,7 +8,7 @@ import torch
 from matplotlib import patheffects
 
 import plots
-from drawing import diagram, film, table
+from drawing import diagram, film, percent, table
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL, START
 from offairl_lite.runs import records
@@ -205,9 +205,9 @@ def way_back(moved, shown, carried, there):
         plots.curve(axes[0], moved.steps / 1_000, moved.returns, "")
         plots.level(axes[0], shown, "demonstrations", plots.GREEN)
         plots.level(axes[0], carried.mean(), "old policies", plots.RED)
-        axes[0].set(
-            xlabel="thousand environment steps", ylabel="true return"
-        )
+        axes[0].set(xlabel="thousand steps", ylabel="score")
+        ticks = (-26.5, -16.5, -6.5)
+        axes[0].set_yticks(ticks, [percent(value) for value in ticks])
         axes[0].set_ylim(-34, -4)
         image = plots.reward_map(axes[1], there.reward, "Left")
         for path in walk(moved.policy, LEFT):

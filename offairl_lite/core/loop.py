@@ -121,10 +121,7 @@ class Trainer:
         self.metrics: Metrics = {}
 
     def run(self) -> Iterator[list[Row]]:
-        """Run Algorithm 1 from the current state to `total_steps`.
-
-        Each iteration runs all pending updates and evaluations, and then takes one environment
-        step. So a resumed run begins with what its checkpoint still owes.
+        """Run Algorithm 1 to `total_steps`; a resumed run begins with what its checkpoint owes.
 
         Yields:
             An empty list after each block of steps; after each evaluation a row for each member.
@@ -171,11 +168,9 @@ class Trainer:
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""
-        policy, earlier = self.pretrained_policy, self.pretrained_policy or self.kept_reward
-        if earlier is None:
-            scaling = scaling_of(self.config, self.collector.replay, self.demonstrations)
-        else:
-            scaling = earlier.normaliser
+        policy, replay, shown = self.pretrained_policy, self.collector.replay, self.demonstrations
+        earlier = policy or self.kept_reward  # It keeps its own scaling.
+        scaling = earlier.normaliser if earlier else scaling_of(self.config, replay, shown)
         for part, fixed in zip(self.normaliser, scaling, strict=True):
             part.copy_(fixed)
         self.learner.init(self.rng)
@@ -211,10 +206,10 @@ class Trainer:
                 int(self.collector.episodes[i]),
                 float(returns.mean()),
                 tuple(map(float, returns)),
-                float(learned[n].mean()),
+                float(paid.mean()),
                 {name: float(value[i]) for name, value in self.metrics.items()},
             )
-            for n, (i, returns) in enumerate(zip(left, played.returns, strict=True))
+            for i, returns, paid in zip(left, played.returns, learned, strict=True)
         ]
 
     @property
@@ -299,8 +294,7 @@ class Trainer:
             self.blocks_due = state["blocks_due"].tolist()
             self.collector.restore(steps, part_of(state, "collector"))
             self.rng.state = state["rng"]
-            metrics = part_of(state, "metrics")
-            self.metrics = {name: x.to(self.device) for name, x in metrics.items()}
+            self.metrics = {n: x.to(self.device) for n, x in part_of(state, "metrics").items()}
         except (KeyError, RuntimeError, ValueError) as error:
             raise ValueError(f"not a state of this run: {error}") from error
 

@@ -152,9 +152,9 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
 
 def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
     """Return an empty replay that can be rewound by `memory` steps."""
-    members, *dims, device, _ = layout
-    slots = replay_slots(schedule, memory)
-    return Replay(members, schedule.replay_size, *dims, device, file=file, slots=slots)
+    slots, size = replay_slots(schedule, memory), schedule.replay_size
+    dims = layout.obs_dim, layout.action_dim
+    return Replay(layout.members, size, *dims, layout.device, file=file, slots=slots)
 
 
 def replay_slots(schedule: Schedule, memory: int) -> int:

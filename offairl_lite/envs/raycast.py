@@ -40,9 +40,8 @@ def render(
     lamps = centre + 50 * _LAMPS
     # The colour of each geom, or of its material if it has none itself.
     rgba = model.geom_rgba.copy()
-    unpainted = (model.geom_matid >= 0) & (rgba == np.array([0.5, 0.5, 0.5, 1], np.float32)).all(
-        axis=1
-    )
+    grey = np.array([0.5, 0.5, 0.5, 1], np.float32)  # MuJoCo's own.
+    unpainted = (model.geom_matid >= 0) & (rgba == grey).all(axis=1)
     rgba[unpainted] = model.mat_rgba[model.geom_matid[unpainted]]
     palette = np.concatenate([rgba[:, :3], _TILES])
     floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & camera.tiles

@@ -102,7 +102,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
         sound = metadata.pop("digest", None) == digest(state, metadata)
     except ValueError as error:
         raise damaged(folder, path, error) from error
-    records.require_format(path, metadata.get("format"), FORMAT)
+    records.require_format(path, metadata.get("format", 1), FORMAT)
     if not sound:
         raise damaged(folder, path, "its contents are not those that were written")
     # A setting that the checkpoint does not know has the value it had before there was one.

@@ -6,8 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sphinx_external_toc.parsing import parse_toc_yaml
+
+from offairl_lite.analysis import films
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
@@ -51,6 +54,16 @@ BAD_VIDEOS = """() => Promise.all([...document.querySelectorAll('video')].map(as
 OVERFLOW = """() => document.documentElement.scrollWidth <= innerWidth ? []
   : ['wider than a phone: ' + document.documentElement.scrollWidth + ' px']"""
 
+# What is cut off on a phone, where nobody can scroll to its end.
+CUT = """() => [...document.querySelectorAll('.math svg, pre, table')].filter(e => {
+    const end = e.getBoundingClientRect().right;
+    const out = [];
+    for (let up = e.parentElement; up !== document.body; up = up.parentElement)
+      if (end > up.getBoundingClientRect().right + 1) out.push(getComputedStyle(up).overflowX);
+    const first = out.find(overflow => overflow !== 'visible');
+    return first === 'hidden' || first === 'clip';
+  }).map(e => 'cut off: ' + e.textContent.trim().slice(0, 60))"""
+
 
 def problems(browser, path):
     """All that goes wrong when a reader opens this page, on a desktop and then on a phone."""
@@ -64,7 +77,7 @@ def problems(browser, path):
     for check in (UNTYPESET, BAD_MATH, BAD_IMAGES, BAD_VIDEOS):
         found += page.evaluate(check)
     page.set_viewport_size({"width": 390, "height": 844})
-    found += page.evaluate(OVERFLOW)
+    found += page.evaluate(OVERFLOW) + page.evaluate(CUT)
     page.close()
     return found
 
@@ -89,7 +102,9 @@ def test_checks_detect(browser, tmp_path):
       <script src="https://example.invalid/x.js"></script><script>undefined_name</script>
       <p class=math>\\(\\undefinedmacro\\)</p><p class=math>x</p>
       <img src="data:image/png;base64,AAAA"><video src="data:video/mp4;base64,AAAA"></video>
-      <div style="width: 800px">wide</div>""")
+      <div style="width: 800px">wide</div>
+      <div style="width: 300px; overflow: hidden"><pre style="width: 400px">cut</pre></div>
+      <div style="width: 300px; overflow: auto"><pre style="width: 400px">scrolls</pre></div>""")
     kinds = {problem.split(":")[0] for problem in problems(browser, page)}
     assert kinds == {
         "console",
@@ -100,12 +115,34 @@ def test_checks_detect(browser, tmp_path):
         "image",
         "video",
         "wider than a phone",
+        "cut off",
     }
 
     page.write_text(
         f"""<!doctype html><script src="{mathjax}"></script><p class=math>\\(x^2\\)</p>"""
     )
     assert problems(browser, page) == []
+
+
+def test_on_paper_a_film_is_its_last_picture(browser, tmp_path):
+    pictures = np.zeros((8, 32, 48, 3), np.uint8)
+    pictures[-1] = 255
+    script = (ROOT / "book/_static/films.js").as_uri()
+    style = (ROOT / "book/_static/book.css").as_uri()
+    page = browser.new_page()
+    (tmp_path / "page.html").write_text(
+        f"""<!doctype html><link rel=stylesheet href="{style}"><script src="{script}"></script>
+        {films.show(pictures, "The maze.").data}"""
+    )
+    page.goto((tmp_path / "page.html").as_uri())
+    still = page.locator(".film-still")
+    still.wait_for(state="attached")
+    shown = [page.locator("video").is_visible(), still.is_visible()]
+    page.emulate_media(media="print")
+    assert [*shown, page.locator("video").is_visible(), still.is_visible()] == [1, 0, 0, 1]
+    middle = "e => [...e.getContext('2d').getImageData(24, 16, 1, 1).data.slice(0, 3)]"
+    assert min(still.evaluate(middle)) > 200
+    page.close()
 
 
 @pytest.mark.skipif(MAC.exists(), reason="Chrome is at its usual place")

@@ -153,7 +153,8 @@ def test_what_stops_or_is_no_number_is_said_in_a_line(label):
     said = exercises.verdict(label, stops)
     assert said == "It stops: ValueError: no such state"
     assert exercises.verdict(label, lambda *_: undefined) == (
-        "It stops: name 'undefined' is not defined. Have the page's cells above been run?"
+        "It stops: name 'undefined' is not defined. Have the page's cells above been run? "
+        "In JupyterLab: Run, Run All Above Selected Cell."
     )
     for output in ("a word", np.zeros((7, 7, 7)), np.zeros(0), float("nan")):
         said = exercises.verdict(label, lambda *_, output=output: output)

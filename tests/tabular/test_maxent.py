@@ -116,7 +116,7 @@ def refused():
     mdp = random_mdp()
     demonstrated, features = occupancy(mdp, random_policy(mdp)), eye_array(6)
     yield (mdp, demonstrated.T, features), {}, r"demonstrated must have shape \(6, 3\), not \(3, 6"
-    yield (mdp, 0.9 * demonstrated, features), {}, "adds up to 9, but every occupancy .* to 10; "
+    yield (mdp, 0.9 * demonstrated, features), {}, "adds up to 9, every occupancy .* to 10: "
     yield (mdp, demonstrated, eye_array(3)), {}, r"\(6, K\) or \(18, K\), not \(3, 3\)"
     yield (mdp, demonstrated, features, 0), {}, "temperature is 0; expected a number above 0"
     yield (

@@ -1,0 +1,20 @@
+// On paper a film is its last picture; for those who prefer no motion none starts by itself.
+window.addEventListener("DOMContentLoaded", () => {
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  for (const film of document.querySelectorAll("video")) {
+    if (calm) {
+      film.removeAttribute("autoplay");
+      film.pause();
+    }
+    const copy = film.cloneNode(true), still = document.createElement("canvas");
+    copy.removeAttribute("autoplay");
+    copy.preload = "auto";
+    copy.addEventListener("loadedmetadata", () => { copy.currentTime = copy.duration; }, {once: true});
+    copy.addEventListener("seeked", () => {
+      still.className = "film-still";
+      [still.width, still.height] = [copy.videoWidth, copy.videoHeight];
+      still.getContext("2d").drawImage(copy, 0, 0);
+      film.after(still);
+    }, {once: true});
+  }
+});
