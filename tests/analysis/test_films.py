@@ -39,7 +39,7 @@ def test_a_film_ends_with_its_episode():
 
 
 def test_a_policy_of_another_task_is_refused():
-    with pytest.raises(ValueError, match="PointMazeLeft-v0 sees 3 numbers, and the task gives 11"):
+    with pytest.raises(ValueError, match=r"PointMazeLeft-v0 sees 3 numbers, .*given 11"):
         video.frames(policy(), "Hopper-v5")
     with pytest.raises(ValueError, match=r"gives 1 numbers, and actions have the shape \(2,\)"):
         video.frames(policy(action_dim=1), MAZE)

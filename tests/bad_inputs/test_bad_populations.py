@@ -50,9 +50,9 @@ def changed(index, value):
         (GOOD + 1j, "expected numbers of shape (3,)"),
         (GOOD.astype(object), "expected numbers of shape (3,)"),
         ("now", "obs is 'now'; expected numbers of shape (3,)"),
-        (GOOD[:1], f"the policy of {MAZE} sees 3 numbers, and the task gives 1"),
-        (np.zeros(0), f"the policy of {MAZE} sees 3 numbers, and the task gives 0"),
-        (np.zeros(4), f"the policy of {MAZE} sees 3 numbers, and the task gives 4"),
+        (GOOD[:1], f"the policy of {MAZE} sees 3 numbers, ...it was given 1"),
+        (np.zeros(0), f"the policy of {MAZE} sees 3 numbers, ...it was given 0"),
+        (np.zeros(4), f"the policy of {MAZE} sees 3 numbers, ...it was given 4"),
     ],
 )
 def test_no_action_is_returned_for(refused, obs, words):
@@ -101,7 +101,7 @@ def test_an_observation_may_come_in_any_form_of_numbers(obs):
         ({"seeds": []}, "0 seeds for a policy of 2 members"),
         ({"seeds": range(3)}, "3 seeds for a policy of 2 members"),
         ({"env_id": None}, "env_id is None; expected a text"),
-        ({"env_id": "Hopper-v5"}, "sees 3 numbers, and the task gives 11"),
+        ({"env_id": "Hopper-v5"}, "sees 3 numbers, ...it was given 11"),
         ({"env_id": "Nowhere-v0"}, "unknown environment 'Nowhere-v0'"),
         ({"num_threads": 0}, f"num_threads is 0; {WHOLE} of at least 1"),
         ({"num_threads": 1.5}, f"num_threads is 1.5; {WHOLE} of at least 1"),
@@ -174,7 +174,7 @@ def test_neither_policies_nor_rewards_see(refused, see, obs, words):
 
 
 def test_a_policy_does_not_see_observations_of_another_size(refused):
-    refused(lambda: TWO.act(torch.zeros(2, 5, 4)), "sees 3 numbers, and the task gives 4")
+    refused(lambda: TWO.act(torch.zeros(2, 5, 4)), "sees 3 numbers, ...it was given 4")
     assert TWO.act(OBS[:1]).shape == (2, 5, 2)  # The same ones for all members.
 
 
@@ -209,7 +209,7 @@ def test_no_reward_is_paid_for(refused, acts, words):
         (ONE, {"seed": -1}, f"seed is -1; {WHOLE} of at least 0"),
         (ONE, {"seed": "0"}, "seed is '0'"),
         (ONE, {"env_id": None}, "env_id is None; expected a text"),
-        (ONE, {"env_id": "Hopper-v5"}, "sees 3 numbers, and the task gives 11"),
+        (ONE, {"env_id": "Hopper-v5"}, "sees 3 numbers, ...it was given 11"),
     ],
 )
 def test_nothing_is_filmed_with(refused, policy, given, words):

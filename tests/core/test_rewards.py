@@ -107,7 +107,7 @@ def test_a_reward_takes_the_observations_of_the_task():
     reward, (obs, action) = frozen(), steps()
     obs[..., -1] = 0
     assert torch.equal(reward(obs[..., :-1], action), reward(obs, action))
-    with pytest.raises(ValueError, match=r"the reward of .* sees . numbers, and the task gives"):
+    with pytest.raises(ValueError, match=r"the reward of .* sees . numbers, .* it was given"):
         reward(obs[..., :-2], action)
 
 

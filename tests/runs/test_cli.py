@@ -262,7 +262,7 @@ def test_clones_are_policies_like_any_other(capsys, shipped_experts, elsewhere):
         ("watch begun/config.json", "begun/config.json is no safetensors file"),
         ("watch Pendulum-v1", "no expert is shipped for Pendulum-v1"),
         ("watch offairl/PointMazeLeft-v0 --out a.gif", "out is a.gif; expected .*: --out a.mp4"),
-        ("watch offairl/PointMazeLeft-v0 --env-id Hopper-v5", "sees 3 numbers, .* gives 11"),
+        ("watch offairl/PointMazeLeft-v0 --env-id Hopper-v5", "sees 3 numbers, .* given 11"),
         (
             "watch offairl/PointMazeLeft-v0 --env-id Pendulum-v1",
             r"gives 2 numbers, .* \(1,\): choose",

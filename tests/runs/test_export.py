@@ -183,7 +183,7 @@ def test_a_clone_is_exported_like_the_policy_of_a_run(own, random_demonstrations
     text = (tmp_path / "out/README.txt").read_text()
     assert f"From {file}, trained on Arm-v0.\n\nMember 1\n" in text
     assert not [*(tmp_path / "out").glob("*-0.*"), *(tmp_path / "out").glob("reward*")]
-    for option, why in (("--step 5", "leave out step"), ("--env-id Swimmer-v5", "gives 8")):
+    for option, why in (("--step 5", "leave out step"), ("--env-id Swimmer-v5", "given 8")):
         line = ["export", str(file), "--out", str(tmp_path / "other"), *option.split()]
         with pytest.raises(SystemExit, match=why):
             cli.main(line)
