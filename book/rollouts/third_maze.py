@@ -53,9 +53,6 @@ def record() -> dict[str, Any]:
         for rewards, place in product(groups, NEW):
             for name, last in retrained(form, place, rewards).items():
                 result["new"][f"{form}, {name}, {place}"] = last
-        both = {"walls": learned(form, "walls")}  # knows the moved wall
-        last = retrained(form, "mirrored", both)["walls"]
-        result["new"][f"{form}, walls, mirrored"] = last
     return result
 
 
@@ -76,8 +73,6 @@ def learned(form: str, second: str) -> Reward:
     file = WORK / f"{FORMS[form]}-{second}.safetensors"
     if not file.is_file():
         shown = two_mazes.shown_in_both()
-        if second == "walls":
-            shown[1] = demonstrations.load(RIGHT, 25)
         if second == "weak":
             episodes = demonstrations.record(weak_expert(), WEAK, 25)
             shown[1] = demonstrations.of(episodes, WEAK)
