@@ -254,3 +254,13 @@ def without_old_data_there_is_no_tail(robot):
     thousands below 0, without old data above −50."""
     assert np.median(robot["exact"]["tail"]) < -1_000
     assert robot["last 1,000"]["tail"].min() > -50
+
+
+@recorded
+def at_a_higher_temperature_nobody_runs(robot):
+    """At 1.2 the rarest hundredth of log π lies above −6, all five seeds
+    stand still, and the rewards in the replay differ by less than 0.7."""
+    hot = robot["temperature 1.2"]
+    assert hot["tail"].min() > -6
+    assert np.abs(hot["returns"][:, -1]).max() < 20
+    assert 0.6 < hot["spread"].min() < hot["spread"].max() < 0.7
