@@ -147,11 +147,13 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     assert f"clones of Hopper and Walker2d came to {hopper} and {walker} % of the expert" in text
     pairs = [
         [mean("4", robot, method) for method in ("clone", "airl")]
-        for robot in ("Hopper", "HalfCheetah")
+        for robot in ("Hopper", "HalfCheetah", "CustomAnt", "Walker2d")
     ]
-    (clone, recipe), (cheetah, other) = pairs
+    (clone, recipe), *others = pairs
     assert f"took Hopper's clones to {clone} % and the recipe's policies to {recipe} %" in text
-    assert f"on HalfCheetah it was {cheetah} % against {other} %" in text
+    (one, two), (three, four), (five, six) = others
+    ants = f"on CustomAnt {three} % against {four} %, and on Walker2d {five} % against {six} %"
+    assert f"on HalfCheetah it was {one} % against {two} %, {ants}" in text
 
 
 def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
