@@ -22,7 +22,7 @@ CHECK_EVERY = 100  #: Minibatches between two looks at the transitions that are 
 def cloning_loss(mean: Action, pre_tanh: Action) -> PerMember:
     """Return E ‖tanh μ(s) - a‖², where a = tanh(u) was demonstrated: what the mode is off by.
 
-    With a likelihood σ(s) would take layers from the mode, and actions near ±1 would decide.
+    With a likelihood, σ(s) would compete with the mode for layers, and actions near ±1 decide.
     """
     return (torch.tanh(mean) - torch.tanh(pre_tanh)).square().sum(-1).mean(-1)
 
@@ -38,7 +38,7 @@ def set_noise(actor: SquashedGaussian, params: Params, noise: Action) -> None:
 
 
 def held_out(lengths: Sequence[int]) -> Bool[Tensor, "N"]:
-    """Tell which transitions say when to stop: a tenth of every episode, in one piece, all new."""
+    """Tell which say when to stop: a tenth of every episode, in one piece: neighbours are alike."""
     marks = []
     for i, length in enumerate(lengths):
         mark, size = np.zeros(length, bool), length // 10

@@ -9,5 +9,5 @@ Scale = Literal["demo", "full"]
 
 
 def current() -> Scale:
-    """Return the scale that `OFFAIRL_SCALE` names: `demo`, small and in minutes, or the paper's."""
+    """Return `OFFAIRL_SCALE`: `demo`, the default, or `full`, the paper's; else ValueError."""
     return checked("OFFAIRL_SCALE", os.environ.get("OFFAIRL_SCALE", "demo"), Scale)

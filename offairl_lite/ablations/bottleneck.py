@@ -40,13 +40,13 @@ def expected_cross_entropy(
 
 
 def gauss_hermite(count: int = 32) -> Float[Tensor, "2 K"]:
-    """Return nodes and weights of a standard normal mean: of a softplus to 1e-3, up to σ = 5."""
+    """Return nodes and weights of a standard normal mean; softplus is exact to 1e-3 up to σ = 5."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     return torch.tensor(np.stack([nodes, weights / weights.sum()]), dtype=torch.float32)
 
 
 class Code:
-    """A scalar that is linear in a code z ~ N(μ(x), σ(x)²) of dimension `size`, at μ(x) a `net`."""
+    """A scalar that is linear in a code z ~ N(μ(x), σ(x)²) of `size` numbers; at z = μ, `net`."""
 
     def __init__(self, net: StackedMLP, size: int) -> None:
         self.net, self.size = net, size

@@ -75,7 +75,7 @@ def power_iteration(net: StackedMLP, params: Params, vectors: Vectors) -> Vector
 def spectrally_normalised(net: StackedMLP, params: Params, vectors: Vectors) -> Params:
     """Return `params` with each weight matrix divided by its largest singular value.
 
-    That is ‖W u‖ at `power_iteration`'s u, which is held constant (Miyato et al. 2018).
+    That is ‖W u‖ for `power_iteration`'s u, held constant in gradients (Miyato et al. 2018).
     """
     parts = []
     pairs = zip(net.layers(params), vectors.split(net.sizes[1:], 1), strict=True)

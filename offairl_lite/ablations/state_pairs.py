@@ -1,6 +1,6 @@
 """State-only DAC: its logit is any function g(s, s'), and sees no action.
 
-Without AIRL's form r + γ V(s') - V(s): Torabi et al. (2018) learn on-policy so.
+It has no form r + γ V(s') - V(s) either. Torabi et al. (2018) learn like this on-policy.
 """
 
 from collections.abc import Iterator

@@ -33,7 +33,7 @@ RewardFunction = Callable[[Tensor, Tensor, Tensor], Float[Tensor, "N"]]
 def canonical(
     reward: RewardFunction, transitions: Transitions, samples: Transitions, discount: float
 ) -> Float[Tensor, "N"]:
-    """Return C(R)(s, a, s') of transitions; a potential shifts it by one constant for all.
+    """Return C(R)(s, a, s') of transitions, to which shaping adds the same constant everywhere.
 
     Samples are draws of (S, A, S'), each column independent of the others.
     """
@@ -50,7 +50,7 @@ def canonical(
 
 
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
-    """Return sqrt((1 - ρ) / 2) for the correlation ρ; ValueError if one of them is constant."""
+    """Return sqrt((1 - ρ) / 2): 0 for equal, 1 for opposite; ValueError if one is constant."""
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
     if not norms > 0:

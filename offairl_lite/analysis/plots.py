@@ -1,4 +1,4 @@
-"""The book's figures, in one style for all pages and readers: colours of Okabe and Ito (2008)."""
+"""The book's style of figures, and its colours, which everybody can tell (Okabe and Ito 2008)."""
 
 from functools import partial
 from typing import Any

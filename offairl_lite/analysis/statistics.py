@@ -57,7 +57,7 @@ def _percentiles(
 
 
 def bootstrap_interval(values: Float[np.ndarray, "N ..."]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the percentile bootstrap interval of the interquartile mean over the first axis."""
+    """Return the interquartile mean's percentile bootstrap interval, of all resamples or 10,000."""
     (drawn,), probability = _resamples(len(values))
     return _percentiles(interquartile_mean(values[drawn.T]), probability)
 
@@ -119,7 +119,7 @@ def compare_successes(
     if not paired:
         table = [[one.sum(), (~one).sum()], [other.sum(), (~other).sum()]]
         return above, float(scipy.stats.fisher_exact(table).pvalue)
+    if len(one) != len(other):
+        raise ValueError(f"{len(one)} and {len(other)} seeds are no pairs: give as many of both")
     only_one, only_other = int((one & ~other).sum()), int((other & ~one).sum())
-    if not only_one + only_other:
-        return above, 1.0
-    return above, float(scipy.stats.binomtest(only_one, only_one + only_other).pvalue)
+    return above, float(scipy.stats.binomtest(only_one, max(only_one + only_other, 1)).pvalue)

@@ -174,7 +174,7 @@ class Config:
 
 
 def differences(one: Config, other: Config) -> dict[str, tuple[Any, Any]]:
-    """Return the flat settings that differ, with both values; None is for one without use."""
+    """Return the flat settings that differ, with both values; None where one has no use for it."""
     here, others = one.flat(), other.flat()
     pairs = {name: (here.get(name), others.get(name)) for name in here | others}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}

@@ -211,7 +211,7 @@ class Frozen:
 
 @dataclass(frozen=True)
 class Labels(Checked):
-    """Instead of a reward: minibatches half of demonstrations, half of replay."""
+    """Instead of a discriminator: minibatches of half demonstrations, half replay; no reward."""
 
     reward: LabelReward
     """What SAC does with the halves. SQIL pays the demonstrations 1 and replay 0; IQ-Learn's critic

@@ -46,7 +46,7 @@ def absorbing_state(like: Extended) -> Extended:
 def rewrite(batch: Batch) -> Batch:
     """Extend transitions by the indicator and send terminations to the absorbing state.
 
-    Nothing is terminated then, so critics bootstrap from its value: the whole of `bootstrap`.
+    Then nothing is terminated, and critics bootstrap from its value: that is all of `bootstrap`.
     """
     next_obs, ended = extend(batch.next_obs), batch.terminated.unsqueeze(-1) == 1
     return batch._replace(

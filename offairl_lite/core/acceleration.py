@@ -150,7 +150,7 @@ def onednn_is_faster() -> bool:
 class CudaGraphed:
     """A step that is captured as a CUDA graph the second time it is called with the same flags.
 
-    The first call, an update as any, makes libraries ready. Capturing computes nothing.
+    The first call runs as written, to make libraries ready. Capturing itself computes nothing.
     """
 
     def __init__(self, step: Callable) -> None:

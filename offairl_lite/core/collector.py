@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 class Members:
     """Which members of the population are still training.
 
-    One whose numbers are not finite is given up. Its weights become zeros, which harm no other.
+    One whose numbers are not finite is given up: zeros for weights, so that it harms no other.
     """
 
     def __init__(self, seeds: Sequence[int], weights: dict[str, Tensor]) -> None:
@@ -73,7 +73,7 @@ def _say_that_ends_matter(env_id: str) -> None:
 
 
 class Collector:
-    """Acts with all members at once, one environment each, after a guide, and fills the replay."""
+    """Acts with all members at once, after a guide if there is one, and fills the replay."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class Collector:
     def step(
         self, explore: Callable[[Float[Tensor, "S O"]], Float[Tensor, "S A"]] | None
     ) -> Bool[np.ndarray, "S"]:
-        """Act once, as `explore` says in `pre_tanh`, or at random; tell whose episode has ended."""
+        """Act once, by `explore` (obs to `pre_tanh`) or at random; tell whose episodes ended."""
         obs = _float(self.obs).to(self.rng.device)
         obs = absorbing.extend(obs) if self.absorbing else obs
         if explore is None:  # Uniform actions, each held for `random_hold` steps on average.

@@ -46,7 +46,7 @@ def scaling_of(config: Config, replay: Replay, demonstrations: Batch | None) -> 
 
 
 def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
-    """Return minibatches: half demonstrations, paid 1, half replay, paid 0 (Reddy et al. 2020)."""
+    """Return minibatches `S B`, half expert, paid 1, half replay, paid 0 (Reddy et al. 2020)."""
     expert = expert._replace(reward=torch.ones_like(expert.reward))
     policy = policy._replace(reward=torch.zeros_like(policy.reward))
     halves = (
@@ -105,7 +105,7 @@ class Experience:
             yield from zip(*sides, mixing.split(size, 1), strict=True)
 
     def paid(self, batch: Batch) -> Batch:
-        """Return scaled transitions with the learner's reward; `analytic` writes R_T in."""
+        """Return scaled transitions, and what they pay: with absorbing='analytic' the last, R_T."""
         learner, scaled = self.config.learner, self.scaled(batch)
         r = learner.reward_scale * self.reward(batch, scaled)
         centred = isinstance(learner, OffPolicyConfig) and learner.centre_reward

@@ -59,7 +59,7 @@ def adopt(learner: Learner, policy: Policy, new_gate: bool) -> None:
 
 
 def log_density(config: Config, learner: Learner, steps: int) -> LogDensity:
-    """Return log π as it is now; `airl-mixture` mixes it with the warm-up's uniform actions."""
+    """Return log π of scaled transitions, as it is now; `airl-mixture` mixes in uniform actions."""
     params, schedule = learner.actor_params.detach().clone(), config.schedule
     if getattr(config.discriminator, "loss", None) != "airl-mixture":
         return lambda batch: learner.log_prob(params, batch.obs, batch.pre_tanh)

@@ -52,7 +52,7 @@ class Normaliser(NamedTuple):
     def of(cls, *sources: Float[Tensor, "S _ O"]) -> "Normaliser":
         """Return the map that gives an even mixture of the sources mean 0 and standard deviation 1.
 
-        A coordinate that hardly varies, beside its mean or at all, is only centred.
+        A coordinate that hardly varies is only centred: its rounding would become signal.
         """
         mean = torch.stack([obs.mean(1, keepdim=True) for obs in sources]).mean(0)
         squares = [(obs - mean).square().mean(1, keepdim=True) for obs in sources]
@@ -69,7 +69,7 @@ class Normaliser(NamedTuple):
 
 @dataclass(frozen=True)
 class StackedMLP:
-    """A multilayer perceptron for `S` sets of weights at once; the last of `sizes` is linear."""
+    """A multilayer perceptron for `S` sets of weights; `sizes` go from input to linear output."""
 
     sizes: Sizes
     activation: Literal["relu", "tanh"] = "relu"
@@ -223,7 +223,7 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_weights` wrote; FileNotFoundError, or ValueError if it is of another kind."""
+    """Read what `save_weights` wrote; ValueError if it is damaged or of another kind."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     try:

@@ -144,7 +144,7 @@ class MultiplicativeGaussian(SquashedGaussian):
     """SAC-MCP's actor: K Gaussian primitives and a gate, which says how much each one counts.
 
     `pre_tanh` is of the density proportional to ∏ N(μ_i(s), σ_i(s)²)^w_i(s) (Peng et al. 2019), one
-    Gaussian again. Primitives grow out of a trunk, whose layers are `hidden`; the gate does not.
+    Gaussian again. Primitives share a trunk of `hidden` layers; the gate is a network of its own.
     """
 
     primitives: Count = 4

@@ -31,7 +31,7 @@ FIRST_SCALE = 0.01
 def episode_ends(obs: Obs, next_obs: Obs) -> Bool[Tensor, "S B"]:
     """Tell which steps are the last ones known of an episode: the next begins somewhere else.
 
-    A reset to where an episode was cut off may go unnoticed: what follows is a sample.
+    A reset to just where an episode was cut off goes unnoticed, which does no harm.
     """
     ends = (next_obs[:, :-1] != obs[:, 1:]).any(-1)
     return torch.nn.functional.pad(ends, (0, 1), value=True)

@@ -19,7 +19,7 @@ from offairl_lite.core.shapes import Layout
 class Batch(NamedTuple):
     """Transitions; the leading axes are usually `S B`.
 
-    `terminated` is 1 where the task ended for good, not at a time limit: there V(s') counts.
+    `terminated` is 1 where the task ended for good; after a time limit the next value counts.
     """
 
     obs: Float[Tensor, "*batch O"]

@@ -77,7 +77,7 @@ class Reward(Population):
     def __call__(self, obs: AnyObs, action: AnyAction | None = None) -> Vector:
         """Return r of the task's observations, also without the absorbing state's indicator.
 
-        r(s) needs no actions, which are in [-1, 1]; ValueError if they are missing or do not fit.
+        r(s) needs no actions; they are in [-1, 1]. ValueError if they are missing or do not fit.
         """
         self._require("obs", obs)
         obs_dim, action_dim = self.sees

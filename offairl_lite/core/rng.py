@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 class Rng:
     """Generators of `S` members, one for each seed, which is 0 or above.
 
-    Seed 7 draws the same alone or among ten, and on every `device`: on the CPU.
+    Seed 7 draws the same numbers, on the CPU, alone or among ten and for every `device`.
     """
 
     def __init__(self, seeds: Sequence[int], device: str | torch.device = "cpu") -> None:

@@ -1,8 +1,8 @@
 """Soft actor-critic (Haarnoja et al. 2018), for a population.
 
 The losses are pure functions in the symbols of the book (chapter 4), with the slips of the paper's
-print mended. They are summed over members, which so do not influence one another, and averaged over
-the batch.
+print mended: the smaller critic, entropy inside γ, no value after a termination. They are summed
+over members, so that none influences another, and averaged over the batch.
 """
 
 import math
@@ -62,14 +62,14 @@ def actor_loss(log_prob: Vector, q: Vector, alpha: Column) -> Scalar:
 def temperature_loss(
     log_alpha: Column, log_prob: Vector, target_entropy: float, mask: Vector
 ) -> Scalar:
-    """Return J_α = E[-α (log π + H̄)], which raises α below H̄, where `mask` is 1, not 0."""
+    """Return J_α = E[-α (log π + H̄)], of states with `mask` 1; α rises while entropy is below H̄."""
     return -(log_alpha.exp() * (mask * (log_prob.detach() + target_entropy))).mean(-1).sum()
 
 
 class OffPolicy:
     """What SAC and TD3 have in common: actor, twin critics and their targets of `S` members.
 
-    Observations come scaled, last the indicator if it `absorbs`. Weights are zeros until `init`.
+    Observations come scaled, with the indicator last if `absorbs`; weights are zeros until `init`.
     """
 
     draws = 2  #: Actions that an update draws in each state: the next ones, and the actor's own.
@@ -101,7 +101,7 @@ class OffPolicy:
     def minibatches(
         self, experience: Experience, updates: int, done: int
     ) -> Iterator[tuple[Batch, Noises, bool]]:
-        """Yield so many updates' arguments, `done` after others; some have the actor."""
+        """Yield arguments of so many updates after `done`; each `POLICY_DELAY`-th has the actor."""
         for count in chunks(updates):
             minibatches = experience.minibatches(count)
             size, action_dim = minibatches[0].pre_tanh.shape[1:]
@@ -111,7 +111,7 @@ class OffPolicy:
                 yield minibatch, eps, done % POLICY_DELAY == 0
 
     def update(self, batch: Batch, noise: Noises, update_actor: bool) -> Metrics:
-        """Train the critics and, every so often, the actor; then the targets follow."""
+        """Train critics, at times the actor, with standard normal `noise`; then targets follow."""
         target = self.target(batch, noise[0])
         q = self.critic(self.critic_params, batch.obs, batch.action)
         descend(self.critic_loss(q, target, batch.obs, noise[-1]), self.critic_optimizer)
@@ -133,7 +133,7 @@ class OffPolicy:
         return bellman_target(batch.reward, batch.terminated, next_value, self.config.discount)
 
     def mask_absorbing(self, obs: Obs, *decided: Tensor) -> tuple[Tensor, ...]:
-        """Return actions and log π, both 0, without a gradient, in the absorbing state."""
+        """Return `pre_tanh` and log π: in the absorbing state both are 0, without a gradient."""
         if not self.absorbs:
             return decided
         ended = is_absorbing(obs)

@@ -63,7 +63,7 @@ class SingleEnv(gymnasium.Env):
 
 
 class OneHotActions(gymnasium.ActionWrapper, RecordConstructorArgs):
-    """A task with n discrete actions as one with n numbers in [-1, 1]: the largest is chosen."""
+    """A task with n discrete actions, as n numbers in [-1, 1]: the largest acts; see `encode`."""
 
     def __init__(self, env: gymnasium.Env):
         RecordConstructorArgs.__init__(self)

@@ -174,7 +174,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._idle[members] = False
 
     def _measure(self, moved: np.ndarray, stepped: bool) -> None:
-        """Update physics and observations after members have been stepped or reset."""
+        """Update physics and observations of members that moved; by-products of others stay."""
         torso, contact = self._physics.torso.copy(), self._physics.contact.copy()
         torso[moved] = self._xpos[moved, 1, :2]
         contact[moved] = 0.0

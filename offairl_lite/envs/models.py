@@ -94,7 +94,7 @@ def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
 
 
 def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
-    """Return the ant with motors of gear 30; if disabled, its back legs are short and weak.
+    """Return the ant, gear 30; if disabled, its back legs are half as long, with motors of gear 1.
 
     An action drives the legs in the order of `actuator_legs`, hip before ankle.
     """

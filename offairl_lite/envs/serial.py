@@ -25,7 +25,7 @@ class TaskError(RuntimeError):
 
 @contextmanager
 def own_code(task: object, what: str) -> Iterator[None]:
-    """Turn an exception of a task's own code into a TaskError, but none that says what to do."""
+    """Turn an error of a task's own code into a TaskError, but not Gymnasium's or an import's."""
     try:
         yield
     except (gymnasium.error.Error, ImportError):
@@ -107,7 +107,7 @@ class SerialEnv(SyncVectorEnv):
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return arrays for `set_state`; a member's episode has the last `clock` actions."""
+        """Return arrays for `set_state`, with the last `clock` actions; the generator is a PCG64."""
         actions = np.array(self._actions, self._units.dtype)
         return {
             "starts": batched.generator_words(self._starts, self),

@@ -123,7 +123,7 @@ def shared_reward(
 def counted(
     trajectories: Trajectories, num_states: int, num_actions: int, discount: float
 ) -> tuple[MDP, Float[Array, "S A"]]:
-    """Return the process with observed frequencies, and counts of its pairs; untaken ones stay."""
+    """Return the process of observed frequencies, and counts; give pairs never taken no weight."""
     pairs = trajectories.states[:, :-1] * num_actions + trajectories.actions
     arrivals = np.zeros((num_states * num_actions, num_states))
     np.add.at(arrivals, (pairs.ravel(), trajectories.states[:, 1:].ravel()), 1)

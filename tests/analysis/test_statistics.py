@@ -226,3 +226,10 @@ def test_the_exact_tests_find_a_difference_that_is_not_there_in_at_most_one_case
     mcnemar = [compare_successes(*paired(0, k, 12 - k, 0), True)[1] for k in range(13)]
     by_chance = scipy.stats.binom.pmf(np.arange(13), 12, 0.5)
     assert by_chance @ (np.array(mcnemar) < 0.05) <= 0.05
+
+
+def test_only_as_many_seeds_of_both_are_pairs():
+    for other in (np.ones(2, bool), np.ones(1, bool)):
+        with pytest.raises(ValueError, match=r"3 and . seeds are no pairs"):
+            compare_successes(np.ones(3, bool), other, paired=True)
+    assert compare_successes(np.ones(3, bool), np.ones(3, bool), paired=True) == (0, 1)
