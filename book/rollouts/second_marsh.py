@@ -94,7 +94,6 @@ def windy_expert() -> Policy:
         config = config.change(env_id=WINDY)
         run = loop.train(config, SEEDS, progress=False)
         assert run.policy is not None
-        print("experts in the wind:", run.returns[:, -1], flush=True)
         run.policy.save(file)
     return Policy.load(file)
 

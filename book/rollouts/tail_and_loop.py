@@ -122,6 +122,7 @@ def state_only_dac() -> dict[str, Any]:
         env_id=there.env_id, total_steps=there.schedule.total_steps
     )
     shown = demonstrations.load(here.env_id, trajectories=50)
+    # Its settings ask for demonstrations, which it does not learn from.
     elsewhere = demonstrations.load(moved.env_id, trajectories=50)
     with (
         closing(Trainer(here, SEEDS, shown)) as earlier,

@@ -107,7 +107,7 @@ class SerialEnv(SyncVectorEnv):
         return self._last.copy(), np.array(rewards), np.array(terminated), np.array(truncated), {}
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return arrays for `set_state`, with the last `clock` actions; the generator is a PCG64."""
+        """Return arrays for `set_state`, with the last `clock` actions. Generators are PCG64."""
         actions = np.array(self._actions, self._units.dtype)
         return {
             "starts": batched.generator_words(self._starts, self),

@@ -10,8 +10,10 @@ import torch
 from offairl_lite import demonstrations, envs
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs import TASKS
+from offairl_lite.envs.models import GOAL
+from offairl_lite.envs.tasks import in_marsh
 from offairl_lite.runs import records
-from rollouts import RECORDS, third_maze, two_bodies, two_mazes
+from rollouts import RECORDS, second_marsh, third_maze, two_bodies, two_mazes
 
 IMAGE = "offairl/CustomAntImage-v0"
 
@@ -85,3 +87,29 @@ def test_the_third_maze_asks_for_another_way_and_its_mirror_for_other_pushes():
     way = walk(two_mazes.RIGHT, pushes)
     assert np.allclose(walk(third_maze.MIRRORED, pushes * np.float32([-1, 1])), way)
     assert not np.allclose(walk(third_maze.MIRRORED, pushes), way, atol=0.01)
+
+
+def test_the_wind_blows_east_with_a_third_of_a_motor_s_force():
+    two_mazes.make_known(second_marsh.WINDY, TASKS[second_marsh.MARSH], second_marsh._windy)
+    blown = walk(second_marsh.WINDY, np.zeros((5, 2), np.float32))
+    pushed = walk(second_marsh.MARSH, np.tile(np.float32([second_marsh.WIND, 0]), (5, 1)))
+    np.testing.assert_allclose(blown - blown[0], pushed - pushed[0], atol=1e-6)
+    assert blown[-1, 0] > blown[0, 0] + 1e-3
+
+
+def test_the_fit_finds_hill_and_marsh():
+    """Of a reward that is both, whatever its unit: the depth is 2 m."""
+
+    class Both:
+        def __len__(self):
+            return 2
+
+        def __call__(self, obs):
+            distance = (obs[..., :2] - torch.tensor(GOAL)).norm(dim=-1)
+            # Some places are on its edge, where rounding decides.
+            marsh = torch.from_numpy(in_marsh(obs[0].double().numpy() - 1e-6))
+            return (5 - distance - 2 * marsh) * torch.tensor([[1], [7]])
+
+    found = second_marsh.fitted(Both())
+    np.testing.assert_allclose(np.divide(found["c"], found["b"]), 2, rtol=1e-5)
+    np.testing.assert_allclose(found["fit"], 1, atol=1e-9)
