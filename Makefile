@@ -14,6 +14,7 @@ HTML  := _build/html
 CHAPTERS := $(wildcard book/*.ipynb book/notes/*.ipynb)
 SOURCES  := $(wildcard book/*.py book/figures/*.py book/_static/toys/*) book/checks/__init__.py $(shell find offairl_lite book/records -type f -not -name '*.pyc' -not -name curve.png -not -path '*/checkpoint/*' 2>/dev/null)
 RUN      := $(CHAPTERS:%=$(STAGE)/%.run)
+CHANGED  := $(STAGE)/changed
 
 # The seconds of a cell: at most ten minutes, except at full scale.
 CELL    := $(if $(filter full,$(SCALE)),-1,600)
@@ -39,18 +40,19 @@ help:
 	@echo 'make system  install Chromium, which the browser checks need (Debian, Ubuntu; as root)'
 	@echo 'make clean   remove everything the commands above have made'
 
-book: $(ENV)
-	@$(MAKE) --no-print-directory -j$(JOBS) $(RUN)
+book: $(ENV) stage
+	@rm -f $(CHANGED)
+	@$(MAKE) --no-print-directory $(RUN)
+	@[ ! -e $(CHANGED) ] || $(BIN)/python book/execute.py run $(STAGE) $$(cat $(CHANGED)) --jobs=$(JOBS) --timeout=$(CELL) || true
 	@$(MAKE) --no-print-directory html
 	@$(BIN)/python book/execute.py report $(STAGE)
 	@echo 'The book is ready. Open $(CURDIR)/$(HTML)/index.html'
 
-# A page's own checks are book/checks/PAGE.py.
+# The pages to run. A page's own checks are book/checks/PAGE.py.
 .SECONDEXPANSION:
 $(STAGE)/%.run: % $(SOURCES) $$(wildcard book/checks/$$(basename $$(notdir $$*)).py) $$(wildcard book/rollouts/*.py) $(ENV) | stage
 	@cp $< $(STAGE)/$<
-	@echo 'Running $<'
-	@$(BIN)/python book/execute.py run $< $(STAGE) --timeout=$(CELL) && touch $@ || rm -f $@
+	@echo $< >> $(CHANGED)
 
 lab: $(ENV) stage
 	$(BIN)/jupyter lab book

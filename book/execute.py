@@ -1,10 +1,11 @@
-"""Run a page of the book, and mark it if it did not go well here.
+"""Run pages of the book, and mark those that did not go well here.
 
-    python book/execute.py run PAGE FOLDER
+    python book/execute.py run FOLDER PAGE ... [--jobs N]
 
-runs book/…/PAGE.ipynb in the copy of the book in FOLDER. Whatever happens,
-the copy can be rendered: a page with a statement that does not hold here,
-or with a cell that failed, says so at its top.
+runs each book/…/PAGE.ipynb in the copy of the book in FOLDER, N at a time.
+Whatever happens, the copy can be rendered: a page with a statement that
+does not hold here, or with a cell that failed, says so at its top. If all
+its cells ran, FOLDER has an empty file PAGE.run beside it.
 
     python book/execute.py report FOLDER
 
@@ -14,6 +15,7 @@ lists the marked pages of FOLDER, with what to do.
 import argparse
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 # Reading a notebook imports this, which takes a second or two to build a
@@ -23,13 +25,18 @@ sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 import nbformat  # noqa: E402
 from nbclient import NotebookClient  # noqa: E402
 
+import kernels  # noqa: E402
+
 MARK = "offairl"
 """Where a notebook's metadata says what did not go well."""
 
 
 def run(page: Path, folder: Path, timeout: int | None = None) -> bool:
     """Run a page in a copy of the book; return whether all cells ran."""
+    print(f"Running {page}", flush=True)
     notebook, copy = nbformat.read(page, as_version=4), folder / page
+    done = copy.with_name(f"{copy.name}.run")
+    done.unlink(missing_ok=True)
     place = {"metadata": {"path": str(copy.parent)}}
     client = NotebookClient(
         notebook, timeout=timeout, kernel_name="python3", resources=place
@@ -43,6 +50,8 @@ def run(page: Path, folder: Path, timeout: int | None = None) -> bool:
         failure = f"{name}: {' '.join(words)}"[:300]
     mark(notebook, failure)
     nbformat.write(notebook, copy)
+    if not failure:
+        done.touch()
     return not failure
 
 
@@ -111,20 +120,25 @@ def report(folder: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one page, or report on all."""
+    """Run some pages, or report on all."""
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("run", help="run a page")
-    one.add_argument("page", type=Path)
-    one.add_argument("folder", type=Path)
-    one.add_argument("--timeout", type=int, help="seconds of a cell")
+    some = commands.add_parser("run", help="run pages")
+    some.add_argument("folder", type=Path)
+    some.add_argument("pages", type=Path, nargs="+", metavar="page")
+    some.add_argument("--jobs", type=int, default=1, help="at a time")
+    some.add_argument("--timeout", type=int, help="seconds of a cell")
     everything = commands.add_parser("report", help="list marked pages")
     everything.add_argument("folder", type=Path)
     options = parser.parse_args(arguments)
     if options.command == "run":
-        return (
-            0 if run(options.page, options.folder, options.timeout) else 1
-        )
+        kernels.fork()
+        with ThreadPoolExecutor(options.jobs) as pool:
+            ran = [
+                pool.submit(run, page, options.folder, options.timeout)
+                for page in options.pages
+            ]
+        return 0 if all(page.result() for page in ran) else 1
     if text := report(options.folder):
         print(text)
     return 0

@@ -1,5 +1,6 @@
 """A page that does not go well here is marked, and the book is rendered all the same."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -35,14 +36,14 @@ def folder(tmp_path, monkeypatch):
     return stage
 
 
-def write(source):
+def write(source, name="page"):
     cells = [
         new_markdown_cell("# A page\n\nIts text."),
         new_code_cell(source),
         new_markdown_cell("The end."),
         new_code_cell('from checks import hold\nhold("page", globals())'),
     ]
-    page = Path("book/page.ipynb")
+    page = Path(f"book/{name}.ipynb")
     nbformat.write(new_notebook(cells=cells), page)
     return page
 
@@ -83,6 +84,25 @@ def test_a_kernel_that_dies_before_it_counts_a_cell_has_not_failed_to_run(folder
             cell.execution_count = None
     nbformat.write(notebook, page)
     assert "book/page: stopped at an error, DeadKernelError" in report(folder)
+
+
+def test_several_pages_run_side_by_side_each_in_a_kernel_of_its_own(folder):
+    draws = "import matplotlib.pyplot as plt; plt.plot([1, 2]); plt.show(); number = 4"
+    alone = "import os, sys; number = 4; assert 'checks' not in sys.modules; OF = os.getpgrp()"
+    quits = "import os, signal; os.kill(0, signal.SIGKILL)"  # with its group, and no other
+    pages = [write(draws, "draws"), write(alone, "alone"), write(quits, "quits"), write(draws)]
+    script = [sys.executable, ROOT / "book/execute.py", "run", folder, *pages, "--jobs", "2"]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert {*re.findall(r"Running (\S+)", done.stdout)} == {*map(str, pages)}
+    ended = {path.name for path in (folder / "book").glob("*.run")}
+    assert ended == {"draws.ipynb.run", "alone.ipynb.run", "page.ipynb.run"}
+    assert "book/quits: stopped at an error, DeadKernelError" in report(folder)
+    shown = nbformat.read(folder / "book/draws.ipynb", as_version=4).cells[1].outputs[0]
+    assert "image/png" in shown.data
+    # The next time it fails: it is to be run again.
+    subprocess.run([*script[:4], write(quits, "draws")], capture_output=True, timeout=300)
+    assert not (folder / "book/draws.ipynb.run").exists()
 
 
 def test_a_marked_page_is_rendered_with_its_mark(folder):
