@@ -130,10 +130,8 @@ class AIRL:
             folders.extend(self.folder, records.read_state(self.folder)["step"] + steps)
         else:
             config = self.config.change(total_steps=steps)
-            shown, execution = (
-                inputs.describe(self.demonstrations),
-                self.run_inputs.execution(config),
-            )
+            shown = inputs.describe(self.demonstrations)
+            execution = self.run_inputs.execution(config)
             began = inputs.inherited(self.inherited, self.run_inputs.files, None)
             spec = records.RunSpec(
                 config, self.seeds, asdict(execution), shown, CHECKPOINT_EVERY, inherited=began
@@ -195,8 +193,7 @@ class AIRL:
         one = self.run.reward.member(self._member(seed))
         in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
         obs = envs.flatten(self.config.env_id, obs)
-        parts = (obs,) if action is None else (obs, action)
-        rows = [np.asarray(x, np.float32) for x in parts]
+        rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
         values = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
@@ -223,18 +220,27 @@ class AIRL:
         Args:
             path: the folder.
             env: the task again, if it is one of your own: an object, or an id with a module.
+                Models of the same run that are open go on with it, too.
             folder: where the copy goes on, as for a new model.
+
+        Raises:
+            ValueError: the task is needed and not given, or is another one.
         """
         spec = records.RunSpec.read(path)
-        needs_env = spec.config.env_id.startswith("airl/") or ":" in spec.config.env_id
-        if (env is None and needs_env) or (isinstance(env, str) and env != spec.config.env_id):
-            whose = f"{spec.config.env_id}: give that task"
-            if spec.config.env_id.startswith("airl/"):
-                whose = "a task that was given as an object or a function: give it again"
-            raise ValueError(f"{path} was trained on {whose}, AIRL.load(path, env)")
-        envs.register(spec.config.env_id if env is None else env, spec.config.env_id)
+        name, own = spec.config.env_id, spec.config.env_id.startswith("airl/")
+        if (env is None and (own or ":" in name)) or (isinstance(env, str) and env != name):
+            whose = "a task that was given as an object or a function" if own else name
+            raise ValueError(f"{path} was trained on {whose}: give that, AIRL.load(path, env)")
         self = cls.__new__(cls)
-        self.seeds, self.config = spec.seeds, spec.config
+        self.seeds, self.config, self.folder, self._run = spec.seeds, spec.config, Path(path), None
+        task = name if env is None else env
+        if (policy := self.run.policy) is not None:
+            absorbs = self.config.schedule.absorbing != "none"
+            sees = policy.actor.obs_dim - absorbs, policy.actor.action_dim
+            has = tuple(space.shape[0] for space in envs.spaces(envs.register(task)))
+            if has != sees:
+                raise ValueError(f"observations and actions have {has} numbers; {path}'s, {sees}")
+        envs.register(task, name)
         self.run_inputs, self.inherited = RunInputs(), {}
         self._place(folder)
         checkpoints.copy(Path(path), self.folder)

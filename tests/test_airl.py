@@ -174,6 +174,10 @@ def test_an_environment_is_given_again(tmp_path):
     with pytest.raises(ValueError, match=r"object or a function: .*AIRL.load\(path, env\)"):
         AIRL.load(tmp_path / "arm")
     same(AIRL.load(tmp_path / "arm", arm).learn(10, progress=False), model_of(40))
+    # Another task is refused, and models that are open keep theirs.
+    with pytest.raises(ValueError, match=r"have \(3, 1\) numbers; .*\(2, 2\)"):
+        AIRL.load(tmp_path / "arm", lambda: envs.gymnasium.make("Pendulum-v1"))
+    same(model.learn(10, progress=False), model_of(40))
 
 
 def test_a_model_is_a_reward_for_others_and_its_folder_is_no_other_s(task, tmp_path):

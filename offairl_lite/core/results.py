@@ -63,11 +63,9 @@ class Run:
         try:
             from pandas import DataFrame
         except ImportError as error:
-            raise ImportError(
-                "pandas is not installed: pip install -e '.[frames]', in a clone"
-            ) from error
-        constants = {"run": self.name, "task": self.config.env_id}
-        lines = [{**constants, **row._asdict(), **row.metrics} for row in self.rows]
+            raise ImportError("pandas is not installed: pip install pandas") from error
+        about = {"run": self.name, "task": self.config.env_id}
+        lines = [{**about, **row._asdict(), **row.metrics} for row in self.rows]
         return DataFrame(lines).drop(columns=["returns", "metrics"], errors="ignore")
 
 

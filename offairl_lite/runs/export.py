@@ -105,7 +105,7 @@ def export(
     instructions = ONNX + TORCH
     if find_spec("onnxscript") is None:
         instructions = TORCH
-        cure = "pip install -e '.[export]', in a clone, and give the command again"
+        cure = "pip install onnx onnxscript, and give the command again"
         notes.append(f"ONNX is not installed, so there are programs of PyTorch alone: {cure}")
     ends = {
         r.seed: f": seed {r.seed}, return {r.mean_return:.4g} at step {r.step:,}" for r in run.rows

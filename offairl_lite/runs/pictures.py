@@ -64,10 +64,8 @@ def draw(folder: Path) -> None:
         places = figure.subplot_mosaic(mosaic, gridspec_kw={**edges, "hspace": 0.5, "wspace": 0.25})
         for title, axes in places.items():
             for i, ((_, *rows), y) in enumerate(zip(members, panels[title], strict=True)):
-                x, line = [row.step for row in rows], "--" if i % 10 > 4 else "-"
-                axes.plot(
-                    x, y, line, color=COLOURS[i % 5], marker=".", label=f"seed {run.seeds[i]}"
-                )
+                x, dash = [row.step for row in rows], ".--" if i % 10 > 4 else ".-"
+                axes.plot(x, y, dash, color=COLOURS[i % 5], label=f"seed {run.seeds[i]}")
             axes.set_title(title, loc="left")
             axes.set_xlim(0, run.config.total_steps)
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))

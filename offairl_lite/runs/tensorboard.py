@@ -25,9 +25,7 @@ def export(run: Path, folder: Path, follow: bool = False, anew: bool = False) ->
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
-        raise ImportError(
-            "TensorBoard is not installed: pip install -e '.[tensorboard]', in a clone"
-        ) from error
+        raise ImportError("TensorBoard is not installed: pip install tensorboard") from error
     old = [path for path in folder.rglob("*") if not path.is_dir()]
     ours = anew and all(path.match("seed-*/events.out.tfevents.*") for path in old)
     if old and not ours:
