@@ -193,7 +193,7 @@ class AIRL:
         one = self.run.reward.member(self._member(seed))
         in_units = InUnits(one, envs.spaces(self.config.env_id)[1])
         obs = envs.flatten(self.config.env_id, obs)
-        rows = [np.asarray(x, np.float32) for x in (obs, action) if x is not None]
+        rows = [np.asarray(x, np.float32) for x in (obs, action)[: 1 + (action is not None)]]
         if any(x.ndim not in (1, 2) for x in rows):
             raise ValueError(f"shapes are {[x.shape for x in rows]}; expected (O,) or (B, O)")
         values = in_units(*(torch.from_numpy(np.atleast_2d(x)) for x in rows))
@@ -227,7 +227,7 @@ class AIRL:
             ValueError: the task is needed and not given, or is another one.
         """
         spec = records.RunSpec.read(path)
-        name, own = spec.config.env_id, spec.config.env_id.startswith("airl/")
+        own = (name := spec.config.env_id).startswith("airl/")
         if (env is None and (own or ":" in name)) or (isinstance(env, str) and env != name):
             whose = "a task that was given as an object or a function" if own else name
             raise ValueError(f"{path} was trained on {whose}: give that, AIRL.load(path, env)")
