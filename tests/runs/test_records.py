@@ -276,5 +276,5 @@ def test_polars_takes_the_frame(record):
 
 def test_a_missing_pandas_is_told_with_the_remedy(record, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[frames\]'"):
+    with pytest.raises(ImportError, match="pip install pandas"):
         read(record).to_frame()

@@ -63,7 +63,7 @@ def test_a_record_is_written_once_and_followed_to_its_end(tiny, tmp_path, monkey
 
 def test_a_missing_tensorboard_is_told_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(ImportError, match=r"pip install -e '\.\[tensorboard\]'"):
+    with pytest.raises(ImportError, match="pip install tensorboard"):
         logs.export(tmp_path, tmp_path / "events")
 
 
