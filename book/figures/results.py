@@ -96,12 +96,12 @@ def evidence(arrived, FOUND, recipe, step, larger):
     EVIDENCE = {
         4: f"{arrived(4)[0]} of {SEEDS} old policies arrive after 100,000 "
         "steps; the others stay in the trap.",
-        6: "At a fixed temperature no gate arrives, with four primitives "
-        "within {} steps or with eight within {}. ".format(
+        6: "No gate arrives, with four primitives within {} steps or with "
+        "eight within {}, at a fixed temperature. ".format(
             *(c.scale.split("× ")[1] for c in FOUND[6])
         )
-        + "At a learned temperature none does either; with four "
-        "primitives it ran away in half of the seeds.",
+        + "Nor does one at a learned temperature, which with four "
+        "primitives ran away in half of the seeds.",
         7: "Ten seeds cannot test a variance. So we ask whether more "
         f"arrive: {eight} of {SEEDS}, and {sac} with SAC, after 40,000 "
         "steps. That may be luck.",
@@ -110,11 +110,14 @@ def evidence(arrived, FOUND, recipe, step, larger):
         f"and with a gate of eight alone {gate} instead of {gate_alone}. "
         "With SAC {} instead of {}: perhaps luck.".format(*arrived(8)),
         1: "So far, on CustomAnt with the AIRL loss: 4 is better than 1 "
-        "and 2, and not clearly better than 3. But no ant walks.",
+        "and 2, and not clearly better than 3. But no ant walks. With "
+        "the recipe 3 and 4, r(s,a) and r(s), make it walk; the logit, "
+        "1 and 2, does not.",
         2: f"So far, with the recipe, small networks and {step:,} steps: "
         f"{recipe}. With paper-size networks and three seeds: {larger}.",
         3: "So far no seed walks on a reward of the whole state, used as "
-        "in the paper.",
+        "in the paper, nor with the recipe. On a reward of the velocity "
+        "all five walk.",
         5: "So far, with the recipe: no clear difference on HalfCheetah, "
         "nor on Ant.",
     }

@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from IPython.display import HTML
 from matplotlib import patheffects
 
 import plots
@@ -271,28 +272,62 @@ def count(arrives, runs):
 
 def _seeds(count, of):
     """Return dots in rows of five, filled for runs that arrive."""
-    dots = "●" * count + "○" * (of - count)
-    rows = "<br>".join(dots[i : i + 5] for i in range(0, of, 5))
+    full = '<span style="color: var(--pst-color-primary)">●</span>'
+    dots = [full] * count + ["○"] * (of - count)
+    rows = "<br>".join("".join(dots[i : i + 5]) for i in range(0, of, 5))
     return (
         f'<span role="img" aria-label="{count} of {of}" '
         f'style="white-space: nowrap; line-height: 1.1">{rows}</span>'
     )
 
 
+def _tables(*parts):
+    """Return tables, each below the sentence that it shows."""
+    text = "".join(
+        f'<p style="margin: 1.5rem 0 0.5rem"><b>{message}</b></p>'
+        f"{shown.data}"
+        for message, shown in parts
+    )
+    return HTML(text)
+
+
 def starts_and_helps(counts):
-    """Return the table of how many seeds arrive."""
+    """Return two tables of how many seeds arrive: new and old policies."""
+
+    def dots(size_of, end_of, arm):
+        count = counts[size_of][end_of][arm]
+        return _seeds(int(count), {SMALL: 5, LARGE: 10}[size_of])
+
+    new = table(
+        ["from scratch", "long fresh", "long held"],
+        [
+            (
+                "small networks",
+                dots(SMALL, "-fresh", 0),
+                dots(SMALL, "-helped", 0),
+            ),
+            ("the paper’s", "not run", dots(LARGE, "-helped", 0)),
+        ],
+    )
     lines = []
-    for size_of, label, of in (
-        (SMALL, "small networks, five seeds", 5),
-        (LARGE, "the paper’s networks, ten seeds", 10),
+    for size_of, label in (
+        (SMALL, "small networks"),
+        (LARGE, "the paper’s networks"),
     ):
-        lines.append((f"<b>{label}</b>", *[""] * len(ARMS)))
+        lines.append((f"<b>{label}</b>", "", "", ""))
         for end_of, row in counts[size_of].items():
-            if any(row):
-                dots = [_seeds(int(n), of) if n else "–" for n in row]
-                lines.append((HELPS[end_of], *dots))
-    starts = ("scratch", "old<br>policy", "gate and<br>primitives")
-    return table(["warm-up", *starts, "gate<br>alone"], lines)
+            if all(row[1:]):
+                parts = [dots(size_of, end_of, arm) for arm in (1, 2, 3)]
+                lines.append((HELPS[end_of], *parts))
+    heads = ("old<br>policy", "gate and<br>primitives", "gate<br>alone")
+    old = table(["kept, after", *heads], lines)
+    return _tables(
+        ("From scratch: the random steps decide.", new),
+        (
+            "From old parts: after fresh steps an expert guides best.",
+            old,
+        ),
+    )
 
 
 def when_a_gate(offered, arrived, gated):
@@ -319,31 +354,50 @@ def when_a_gate(offered, arrived, gated):
         plt.show()
 
 
+KINDS = {
+    "the state, off-policy": (
+        "exact logit",
+        "density of the replay",
+        "released loss",
+    ),
+    "the action too": ("DAC", "PPO, r(s, a)"),
+    "the state, on-policy": ("PPO, r(s)",),
+    "control": ("true reward",),
+}
+
+
 def where_rewards_lead(found, blamed, backwards):
-    """Return the table of arrivals for each learned reward."""
-    lines = []
-    for name in TRIED:
-        good, fresh_ones = sum(found[name][:2]), sum(found[name][2:])
-        bad = ""
-        if name in blamed and good < 10:
-            bad = f"{sum(blamed[name][:2])} of {10 - good}"
-        lines.append(
-            (
-                NAMED.get(name, name),
-                _seeds(good, 10),
-                bad,
-                _seeds(fresh_ones, 10),
-            )
-        )
-    there_too = [int((backwards[begin] > BAR).sum()) for begin in BEGINS]
-    ways = (
-        _seeds(sum(there_too[:2]), 10),
-        "",
-        _seeds(sum(there_too[2:]), 10),
+    """Return two tables of arrivals: after held and after fresh steps."""
+    reached = dict(found)
+    reached["back"] = [
+        int((backwards[each] > BAR).sum()) for each in BEGINS
+    ]
+    names = NAMED | {"back": "the same, right to left"}
+    held, fresh = [], []
+    for kind, members in KINDS.items():
+        held.append((f"<i>{kind}</i>", "", "", ""))
+        for name in members:
+            with_way_back = name == "exact logit"
+            for each in (name, "back") if with_way_back else (name,):
+                counts = reached[each]
+                bad, failed = "", 10 - sum(counts[:2])
+                if each in blamed and failed:
+                    bad = f"{sum(blamed[each][:2])} of {failed}"
+                dots = [_seeds(count, 5) for count in counts]
+                title = names.get(each, each)
+                held.append((title, *dots[:2], bad))
+                fresh.append((title, *dots[2:]))
+    heads = ["reward that sees", "from<br>scratch", "old<br>policy"]
+    return _tables(
+        (
+            "After held steps: the reward decides.",
+            table([*heads, "failures it<br>prefers"], held),
+        ),
+        (
+            "After fresh steps hardly any arrive, even on the true reward.",
+            table(["reward", *heads[1:]], fresh),
+        ),
     )
-    lines.insert(1, ("the same, right to left", *ways))
-    head = ["held<br>warm-up", "failures the<br>reward prefers"]
-    return table(["reward", *head, "fresh<br>warm-up"], lines)
 
 
 def preferred_actions(rewards):
