@@ -1,5 +1,6 @@
 """What the README and the front page tell readers to type."""
 
+import json
 import os
 import re
 import shlex
@@ -90,6 +91,22 @@ def test_the_example_from_an_empty_folder(tmp_path):
     assert float(re.search(r"return ([-−.\d]+)", old)[1]) < -120
     final = records.read(tmp_path / "runs/swapped").returns[:, -1]
     assert ((final > -9) & (final < -4)).all()
+
+
+def test_the_mazes_of_chapter_9_in_numbers(tmp_path, monkeypatch, capsys):
+    """Its two commands print what is shown, as nearly as another processor gives it."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    monkeypatch.chdir(ROOT)
+    cells = json.loads((ROOT / "book/09_transfer.ipynb").read_text("utf-8"))["cells"]
+    (text,) = ("".join(c["source"]) for c in cells if "{admonition} Try it" in "".join(c["source"]))
+    lines = text.replace("\\\n", " ").splitlines()
+    for command in (line for line in lines if line.startswith("offairl demos")):
+        cli.main(shlex.split(command)[1:])
+    returns = r"return (-[\d.]+)"
+    said, found = (re.findall(returns, each) for each in (text, capsys.readouterr().out))
+    assert len(said) == len(found) == 2
+    for one, other in zip(said, found, strict=True):
+        assert abs(float(one) - float(other)) < 3
 
 
 def test_the_front_page_has_the_readme_s_lines():

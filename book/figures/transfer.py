@@ -373,7 +373,7 @@ def where_rewards_lead(found, blamed, backwards):
         int((backwards[each] > BAR).sum()) for each in BEGINS
     ]
     names = NAMED | {"back": "the same, right to left"}
-    held, fresh = [], []
+    held, fresh, none = [], [], 0
     for kind, members in KINDS.items():
         held.append((f"<i>{kind}</i>", "", "", ""))
         for name in members:
@@ -386,7 +386,10 @@ def where_rewards_lead(found, blamed, backwards):
                 dots = [_seeds(count, 5) for count in counts]
                 title = names.get(each, each)
                 held.append((title, *dots[:2], bad))
-                fresh.append((title, *dots[2:]))
+                if any(counts[2:]):
+                    fresh.append((title, *dots[2:]))
+                none += not any(counts[2:])
+    fresh.append((f"each of the {none} others", *[_seeds(0, 5)] * 2))
     heads = ["reward that sees", "from<br>scratch", "old<br>policy"]
     return _tables(
         (

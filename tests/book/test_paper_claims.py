@@ -1,5 +1,9 @@
 """The rules by which the book judges the paper's claims."""
 
+import ast
+import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +30,8 @@ from paper_verdicts import (
     verdict,
 )
 from paper_words import number
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_a_number_has_a_proper_minus_and_zero_none():
@@ -60,6 +66,13 @@ def test_an_interval_speaks_for_a_claim_or_against_it():
         "unclear",
         "unclear",
     ]
+
+
+def test_chapter_11_shows_what_its_command_prints():
+    cells = json.loads((ROOT / "book/11_results.ipynb").read_text("utf-8"))["cells"]
+    (text,) = (s for s in ("".join(c["source"]) for c in cells) if "p.decided()" in s)
+    printed = re.search(r"```text\n(\{.*?\})\n```", text, re.DOTALL)
+    assert ast.literal_eval(printed[1]) == paper_verdicts.decided()[1]
 
 
 def test_a_comparison_gets_a_verdict_only_if_its_records_are_large_enough():
