@@ -299,16 +299,16 @@ def runaway():
     with plots.style():
         _fig, ax = plt.subplots(figsize=(6.2, 2.9))
         for loss, alpha, color, text, y in (
-            ("AIRL", 0.2, plots.RED, "AIRL loss, α = 0.2", 1_200),
+            ("AIRL", 0.2, plots.RED, "AIRL loss, α = 0.2", 6_000),
             ("log-ratio", 0.2, plots.BLUE, "log-ratio loss, α = 0.2", 16),
-            ("AIRL", 2.0, plots.GREY, "AIRL loss, α = 2", 1.2),
+            ("AIRL", 2.0, plots.GREY, "AIRL loss, α = 2", 0.95),
         ):
             values = logs_by_round(loss, alpha)
             ax.semilogy(-values, "o-", color=color, ms=4)
-            x = 3.4 if values[-1] < -100 else 6
+            x = 3.3 if values[-1] < -100 else 6
             ax.text(x, y, text, color=color, ha="right", va="center")
         ax.set(xlabel="round", ylabel=r"$-\log\ \pi$ (nats)")
-        ax.set(ylim=(0.8, 2e5))
+        ax.set(ylim=(0.5, 2e5))
         ax.minorticks_off()
         plt.show()
 
