@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from checks import demo_scale_only, exact, live, recorded
-from offairl_lite import demonstrations
+from offairl_lite import demonstrations, tabular
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL
 from offairl_lite.runs import records
@@ -59,6 +59,32 @@ def the_best_discriminator(learned, true_reward, expert):
     for r, V, ratio in learned.values():
         assert np.ptp(V - expert.value) < 1e-6
         assert np.ptp(r - true_reward - ratio) < 1e-6
+
+
+@exact
+def two_states_by_hand(learn):
+    """The worked example: an expert that steps to B in 3 of 4 steps
+    against a random policy. The best discriminator says 1/5, 3/7, 3/7 and
+    9/13, f is log 1/8, log 3/8, log 3/8 and log 9/8; V is right, and r is
+    too large by log 3 at B."""
+    to_a_or_b = np.tile(np.eye(2), (2, 1, 1))
+    mdp = tabular.MDP(to_a_or_b, np.full(2, 0.5), 0.9)
+    truth = np.array([0, np.log(3) / 0.9])
+    expert = tabular.soft_value_iteration(mdp, truth)
+    assert np.allclose(expert.policy, [[1 / 4, 3 / 4]] * 2)
+    assert np.isclose(np.diff(expert.value).item(), np.log(3) / 0.9)
+    seen = np.array([[1, 3], [3, 9]]) / 16  # the expert's steps
+    visits = np.full((2, 2), 1 / 4)  # and the random policy's
+    assert np.allclose(seen / seen.sum(1)[:, None], expert.policy)
+    judged = seen / (seen + visits)
+    assert np.allclose(judged, [[1 / 5, 3 / 7], [3 / 7, 9 / 13]])
+    f = np.log(judged / (1 - judged)) + np.log(1 / 2)
+    assert np.allclose(np.exp(f), np.array([[1, 3], [3, 9]]) / 8)
+    r, V = learn(mdp, np.full((2, 2), np.log(1 / 2)), seen, visits)
+    assert np.isclose(np.diff(V).item(), np.log(3) / 0.9)
+    assert np.isclose(np.diff(r - truth).item(), np.log(3))
+    assert f"{np.diff(truth).item():.2f}" == "1.22"
+    assert f"{np.diff(r).item():.2f}" == "2.32"
 
 
 @exact

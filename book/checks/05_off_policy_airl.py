@@ -285,6 +285,20 @@ def loss_decides_on_robots(robot_runs, demonstrated_return):
         assert min(logits) > 15
 
 
+@exact
+def the_loop_by_hand(pictures):
+    """From −3, with a best logit of −2 and a temperature of 0.2, the AIRL
+    loss moves log π to −25, −135, −685 and −3,435, and its distance from
+    2.5 grows fivefold; the log-ratio loss moves it to −10 at once. At a
+    temperature of 2 it settles at −2."""
+    airl = pictures.logs_by_round("AIRL", 0.2, 4)
+    assert airl.round().tolist() == [-3, -25, -135, -685, -3_435]
+    assert np.allclose((airl[1:] - 2.5) / (airl[:-1] - 2.5), 5)
+    ratio = pictures.logs_by_round("log-ratio", 0.2, 4)
+    assert ratio.round(9).tolist() == [-3, -10, -10, -10, -10]
+    assert abs(pictures.logs_by_round("AIRL", 2.0)[-1] + 2) < 0.02
+
+
 @recorded
 def logits_of_the_recipe(robot_runs):
     """With the recipe the demonstrations' mean logit ends 1 to 4.4 nats

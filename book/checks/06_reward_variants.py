@@ -180,11 +180,14 @@ def share_of_the_warm_up(demo):
 
 @recorded
 def who_arrives(counted):
-    """As they are, cold, and with another's log π none of ten seeds
-    arrives; clipped, four; with the mixture, five; soft, six; learned, all
-    ten."""
-    numbers = [int(count.split()[0]) for count in counted.values()]
-    assert numbers == [0, 0, 0, 4, 5, 6, 10]
+    """As they are, cold, and with another's log π none of five seeds
+    arrives, with r(s, a) or r(s) in f; clipped, 4 and 0; with the mixture,
+    3 and 2; soft, 5 and 1; learned, 5 and 5."""
+    numbers = [
+        [int(count.removesuffix(" of 5")) for count in counts]
+        for counts in counted.values()
+    ]
+    assert numbers == [[0, 0]] * 3 + [[4, 0], [3, 2], [5, 1], [5, 5]]
 
 
 @recorded

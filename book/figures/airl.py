@@ -5,11 +5,12 @@ from dataclasses import replace
 import matplotlib.patheffects as effects
 import matplotlib.pyplot as plt
 import numpy as np
+import torch
 from scipy.special import log_softmax
 
 import plots
 from drawing import EDGE, bare, diagram, film, number, percent, table
-from offairl_lite import tabular
+from offairl_lite import demonstrations, tabular
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration
@@ -281,6 +282,50 @@ def spreads(results):
         for name, (old, new) in results.items()
     ]
     return rows
+
+
+def seed_by_seed(source, trained, new_walks, RIGHT):
+    """Return the table of what fails in which seed, with PPO and r(s)."""
+    theirs = rollout(
+        demonstrations.expert(RIGHT).member(*[0] * 5), RIGHT, range(5), 5
+    )
+
+    def collected(walks):
+        # Of the learned reward, a seed and an episode.
+        obs, action = (
+            torch.as_tensor(x, dtype=torch.float32).flatten(1, 2)
+            for x in (walks.obs, walks.action)
+        )
+        r = source.reward(obs, action).view(walks.reward.shape)
+        return r.sum(-1).mean(1).numpy()
+
+    rows = []
+    for seed, (agent, expert) in enumerate(
+        zip(collected(new_walks), collected(theirs), strict=True)
+    ):
+        arrives = trained.returns[seed, -1] > -14
+        fault = "the reward" if agent > expert else "the learner"
+        rows.append(
+            (
+                f"{seed}",
+                percent(source.returns[seed, -1]),
+                percent(trained.returns[seed, -1]),
+                number(agent, 0),
+                number(expert, 0),
+                "–" if arrives else fault,
+            )
+        )
+    return table(
+        (
+            "seed",
+            "old maze",
+            "new maze",
+            "agent collects",
+            "expert would",
+            "at fault",
+        ),
+        rows,
+    )
 
 
 def blind(columns, LEFT, RIGHT):

@@ -285,6 +285,34 @@ def behind_the_star(imitation, released, line, kept):
         plt.show()
 
 
+def logs_by_round(loss, temperature, rounds=6, start=-3.0, best=-2.0):
+    """Return log π of an old action in each round, by `eq-runaway`."""
+    values = [start]
+    for _ in range(rounds):
+        f = best + (values[-1] if loss == "AIRL" else 0)
+        values.append(f / temperature)
+    return np.array(values)
+
+
+def runaway():
+    """Draw how log π of an old action moves with both losses."""
+    with plots.style():
+        _fig, ax = plt.subplots(figsize=(6.2, 2.9))
+        for loss, alpha, color, text, y in (
+            ("AIRL", 0.2, plots.RED, "AIRL loss, α = 0.2", 6_000),
+            ("log-ratio", 0.2, plots.BLUE, "log-ratio loss, α = 0.2", 16),
+            ("AIRL", 2.0, plots.GREY, "AIRL loss, α = 2", 0.95),
+        ):
+            values = logs_by_round(loss, alpha)
+            ax.semilogy(-values, "o-", color=color, ms=4)
+            x = 3.3 if values[-1] < -100 else 6
+            ax.text(x, y, text, color=color, ha="right", va="center")
+        ax.set(xlabel="round", ylabel=r"$-\log\ \pi$ (nats)")
+        ax.set(ylim=(0.5, 2e5))
+        ax.minorticks_off()
+        plt.show()
+
+
 def robot_results():
     """Return recorded robots, their demonstrations, and rows of a table."""
     robot_runs, demonstrated_return, rows = {}, {}, []

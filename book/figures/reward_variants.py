@@ -232,11 +232,15 @@ def crossed(WORDS, counted):
     def cell(*forms):
         "What is in the table."
         return "<br>".join(
-            f"<i>{WORDS[x]}</i>: {counted[x]}" for x in forms
+            f"<i>{WORDS[x]}</i>: {' + '.join(arrived[x])}" for x in forms
         )
 
+    arrived = {
+        form: [count.split()[0] for count in counts]
+        for form, counts in counted.items()
+    }
     return table(
-        ("", "tail in the reward", "no tail"),
+        ("r(s, a) + r(s), of 5 + 5", "tail in the reward", "no tail"),
         [
             (
                 "<b>loop in the reward</b>",
@@ -252,7 +256,7 @@ def crossed(WORDS, counted):
     )
 
 
-def isolate(FORMS, COLORS, final, last_q, shown, WORDS, arrived_of):
+def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
     """Draw scores and values of the variants."""
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(6.2, 4.2), sharey=True)
@@ -262,10 +266,10 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, arrived_of):
                 color = COLORS[f"implementation-{n}"]
                 _dots(axes[0], y, _score(final[name], shown), color, 0.12)
                 _dots(axes[1], y, last_q(name), color, 0.12)
-            both = (f"implementation-{n}{form}" for n in (1, 2))
-            place = {"xycoords": ("axes fraction", "data")}
-            count = arrived_of(*both).replace(" of ", "/")
-            axes[1].annotate(count, (1.05, row), va="center", **place)
+                place = {"xycoords": ("axes fraction", "data")}
+                place |= {"va": "center", "color": color}
+                count = counted[form][n - 1].replace(" of ", "/")
+                axes[1].annotate(count, (1.05, y), **place)
         place = {"xycoords": "axes fraction", "va": "bottom"}
         axes[1].annotate("arrive", (1.02, 1.02), **place)
         _score_axis(axes[0])
