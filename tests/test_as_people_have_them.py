@@ -64,7 +64,7 @@ def test_an_exception_without_words_tells_where_it_is_from_and_with_which_versio
         envs.make(ARM, 1, 0)
     where = "offairl_lite.envs.serial.packages_distributions"
     monkeypatch.setattr(where, lambda: {__name__: ["pytest"]})
-    message = rf"That is pytest {pytest.__version__}, with MuJoCo .*pip install 'mujoco<4'"
+    message = rf"That is pytest {pytest.__version__}, with MuJoCo .*pip install 'mujoco<3.12'"
     with pytest.raises(TaskError, match=message):
         envs.make(ARM, 1, 0)
 

@@ -46,7 +46,7 @@ def _explained(error: Exception) -> str:
     for name in packages_distributions().get(module, [])[:1]:
         said += (
             f". That is {name} {version(name)}, with MuJoCo {mujoco.__version__}: if it was made "
-            "for an older one, pip install 'mujoco<4', with which such tasks train here as well"
+            "for an older one, pip install 'mujoco<3.12', with which such tasks train here as well"
         )
     return said
 
