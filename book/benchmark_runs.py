@@ -452,7 +452,7 @@ def _no_actions(cells: Cells) -> tuple[str, bool]:
 def short(cells: Cells) -> str:
     """Return the README's table, in Markdown: four demonstrations."""
     lines = [f"| | {' | '.join(ROBOTS)} | command |", "|---" * 7 + "|"]
-    for method in ("clone", "airl", "dac"):
+    for method in METHODS:
         keys = [("4", robot, method) for robot in ROBOTS]
         if not any(key in cells for key in keys):
             continue
