@@ -288,6 +288,23 @@ def noise(robots: Iterable[str] = ROBOTS) -> HTML:
     return table(heads, rows)
 
 
+def networks(cells: Cells) -> HTML:
+    """Return how clones of four demonstrations do with small networks."""
+    small = rollouts.read("benchmark")["4-small"]
+    rows = [["cloning, 256-256"], ["cloning, 64-64"], ["the recipe, 64-64"]]
+    for robot in ROBOTS:
+        ends = [
+            cells["4", robot, "clone"].ends,
+            100 * small[robot]["returns"] / expert(robot)[0],
+            cells["4", robot, "airl"].ends
+            if ("4", robot, "airl") in cells
+            else None,
+        ]
+        for row, cell in zip(rows, ends, strict=True):
+            row.append(text_of(cell))
+    return table(("four demonstrations", *ROBOTS), rows)
+
+
 def costs(cells: Cells) -> HTML:
     """Return what the cells of each method that has any have cost."""
     rows = []

@@ -25,6 +25,8 @@ SEEDS = tuple(range(10))
 EPISODES = 10
 FIRST = ("4/Hopper", "4/HalfCheetah")
 """Cells that are recorded before the others."""
+SMALL = (64, 64)
+"""The layers of all other methods; clones have larger ones."""
 
 
 def settings() -> dict[str, Any]:
@@ -43,19 +45,20 @@ def _cache() -> Path:
 
 def shown(block: str, robot: str) -> demonstrations.Demonstrations:
     """Return the demonstrations of a cell, by the strongest expert."""
-    count, _, thinned = block.partition("-")
+    count, _, kind = block.partition("-")
     return demonstrations.load(
         env_id_of(robot),
         int(count),
-        subsample=20 if thinned else 1,
+        subsample=20 if kind == "thinned" else 1,
         experts="best",
     )
 
 
 def cell(block: str, robot: str) -> dict[str, Any]:
     """Clone ten seeds, and return what each returns without noise."""
+    hidden = SMALL if block == "4-small" else settings()["hidden"]
     given, start = shown(block, robot), time.process_time()
-    policy = cloning.clone(given, SEEDS, progress=False)
+    policy = cloning.clone(given, SEEDS, hidden=hidden, progress=False)
     seconds = time.process_time() - start
     played = rollout(policy, given.env_id, SEEDS, EPISODES)
     return {
@@ -76,6 +79,7 @@ def record() -> dict[str, Any]:
         for block, methods in PLAN.items()
         for robot in methods.get("clone", ())
     ]
+    places += [f"4-small/{robot}" for robot in PLAN["4"]["clone"]]
     found: dict[str, Any] = {"settings": settings()}
     found |= {place.split("/")[0]: {} for place in places}
     for place in sorted(places, key=lambda place: place not in FIRST):
