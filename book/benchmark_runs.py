@@ -474,7 +474,7 @@ def short(cells: Cells) -> str:
         if not any(key in cells for key in keys):
             continue
         means = [
-            f"{summary(cells[key].ends).mean:.0f}" if key in cells else "–"
+            number(summary(cells[key].ends).mean) if key in cells else "–"
             for key in keys
         ]
         (command,) = commands("4", method)
