@@ -125,8 +125,8 @@ def report(page: str, outcomes: list[Outcome]) -> str:
     )
     failed = [each for each in outcomes if each.evidence]
     if not failed:
-        number = len(checked)
-        return f"All {number} statements of this page hold {about}.{rest}"
+        count = f"All {len(checked)} checked statements"
+        return f"{count} of this page hold {about}.{rest}"
     first = (
         f"**{len(failed)} of {len(checked)} statements of this page do "
         f"not hold on this machine** {about}.{rest}"

@@ -93,7 +93,7 @@ def test_a_statement_about_demo_scale_is_not_counted_at_full_scale(page, tmp_pat
     assert not left.evidence
     assert not left.checked
     text = checks.report("page", check("page", {"size": "full"}))
-    assert text.startswith("All 1 statements of this page hold (1 exact mathematics")
+    assert text.startswith("All 1 checked statements of this page hold (1 exact mathematics")
     assert text.endswith("1 more are about demo scale: not checked.")
 
 

@@ -52,7 +52,7 @@ def test_a_page_that_goes_well_has_no_mark(folder):
     assert run(write("number = 4"), folder)
     cells = nbformat.read(folder / "book/page.ipynb", as_version=4).cells
     assert cells[0].source == "# A page\n\nIts text."
-    assert "All 1 statements" in cells[-1].outputs[0].data["text/markdown"]
+    assert "All 1 checked statements" in cells[-1].outputs[0].data["text/markdown"]
     assert report(folder) == ""
 
 
