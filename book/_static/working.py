@@ -1,6 +1,7 @@
 """Draw what a good and a failed run look like from inside.
 
-The runs are those of the table of `recipe_working.md`.
+The runs are those of the table of `recipe_working.md`, and in `gap.svg` all
+25 seeds of the recipe on Walker2d after 100,000 steps.
 
 .venv/bin/python book/_static/working.py
 """
@@ -10,6 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from offairl_lite import demonstrations
 from offairl_lite.analysis import plots
 from offairl_lite.runs import records
 
@@ -18,6 +20,13 @@ RUNS = {
     "works": ("what-decides-demo/{}-released-fixed-short", plots.BLUE),
     "fails": ("locomotion-first-demo/{}-airl", plots.RED),
 }
+WALKERS = (
+    "what-decides-demo/Walker2d-released-fixed-short",
+    "what-decides-more-demo/Walker2d-released-fixed-short",
+    "locomotion-demo/Walker2d-airl",
+    "locomotion-again-demo/Walker2d-airl",
+)
+"""All that were trained by the recipe: 25 seeds."""
 
 
 def numbers(run, value):
@@ -55,3 +64,28 @@ with plots.style():
         100, 0.63, "cannot tell them apart", color=plots.GREY, ha="right"
     )
     fig.savefig(BOOK / "_static/working.svg", metadata={"Date": None})
+
+expert = records.read_json(demonstrations.EXPERTS / "Walker2d.json")
+rows = [
+    row
+    for name in WALKERS
+    for row in records.read(BOOK / "records" / name).rows
+    if row.step == 100_000
+]
+with plots.style():
+    plt.rcParams["svg.hashsalt"] = "gap"
+    fig, ax = plt.subplots(figsize=(4.6, 3))
+    ax.plot(
+        [
+            r.metrics["expert_logit"] - r.metrics["policy_logit"]
+            for r in rows
+        ],
+        [100 * row.mean_return / expert["returns"][0] for row in rows],
+        "o",
+        color=plots.BLUE,
+        alpha=0.7,
+    )
+    ax.set(
+        xlabel="logit gap", ylabel="percent of the expert", ylim=(0, 100)
+    )
+    fig.savefig(BOOK / "_static/gap.svg", metadata={"Date": None})

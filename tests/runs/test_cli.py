@@ -832,6 +832,7 @@ def test_large_networks_are_compiled_and_spread(
         made.append((folder.name, Execution(**spec.execution)))
 
     monkeypatch.setattr("offairl_lite.core.acceleration.compiler", lambda: compiler)
+    monkeypatch.setattr("offairl_lite.core.acceleration.onednn_is_faster", lambda: True)
     monkeypatch.setattr(jobs, "cores", lambda: 4)
     monkeypatch.setattr(folders, "create", create)
     monkeypatch.setattr(launch, "_finish", lambda *_, **__: None)
