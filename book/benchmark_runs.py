@@ -570,8 +570,8 @@ def block_table(cells: Cells, block: str) -> str:
     """Return the table of one number of demonstrations, as HTML.
 
     A method has two rows, so that five robots fit on a telephone: what it
-    costs, with the command, and its numbers. Methods without a number are
-    in the last row, with their commands folded.
+    costs, with the command folded below, and its numbers. Methods without a
+    number are in the last row, with their commands folded, too.
     """
     robots = [
         r for r in ROBOTS if any(r in x for x in PLAN[block].values())
@@ -592,8 +592,11 @@ def block_table(cells: Cells, block: str) -> str:
             waiting[METHODS[method]] = how
             continue
         hours = float(np.mean([cell.hours for cell in there]))
-        cost = f"{there[0].steps:,} steps, {duration(hours)}, "
-        about = f"<b>{METHODS[method]}</b><br>{_small(cost + how)}"
+        cost = f"{there[0].steps:,} steps, {duration(hours)}"
+        folded = (
+            f"<details><summary>{_small(cost)}</summary>{how}</details>"
+        )
+        about = f"<b>{METHODS[method]}</b>{folded}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
     if lines:
