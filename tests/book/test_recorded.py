@@ -35,6 +35,7 @@ RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r i
 # about, and is named here.
 LENGTH = {"total_steps"}
 VARIED = {
+    "sqil-learned-demo/HalfCheetah-sqil": {"temperature"},
     "maze-airl-ppo-demo/gan-gcl": {"reward"},
     "maze-imitation-2-demo": {"reward"},
     "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
