@@ -88,7 +88,7 @@ def test_a_kernel_that_dies_before_it_counts_a_cell_has_not_failed_to_run(folder
 
 def test_several_pages_run_side_by_side_each_in_a_kernel_of_its_own(folder):
     draws = "import matplotlib.pyplot as plt; plt.plot([1, 2]); plt.show(); number = 4"
-    alone = "import os, sys; number = 4; assert 'checks' not in sys.modules; OF = os.getpgrp()"
+    alone = "import sys; number = 4; assert 'checks' not in sys.modules"
     quits = "import os, signal; os.kill(0, signal.SIGKILL)"  # with its group, and no other
     pages = [write(draws, "draws"), write(alone, "alone"), write(quits, "quits"), write(draws)]
     script = [sys.executable, ROOT / "book/execute.py", "run", folder, *pages, "--jobs", "2"]
