@@ -19,7 +19,8 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from offairl_lite.config.settings import checked
-from offairl_lite.core.absorbing import absorbing_state, analytic_return
+from offairl_lite.core.absorbing import absorbing_state
+from offairl_lite.core.experience import analytic_return
 from offairl_lite.core.rewards import Reward
 from offairl_lite.envs import flatten, require_boxes
 from offairl_lite.runs.inputs import load_one

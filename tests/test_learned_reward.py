@@ -11,7 +11,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TransformReward
 
-from offairl_lite.core.absorbing import is_absorbing, loop_of, with_analytic_return
+from offairl_lite.core.absorbing import is_absorbing, loop_of
+from offairl_lite.core.experience import with_analytic_return
 from offairl_lite.core.loop import Trainer
 from offairl_lite.learned_reward import LearnedReward
 

@@ -7,6 +7,7 @@ import torch
 
 from checks import exact, live, recorded
 from offairl_lite.core import absorbing
+from offairl_lite.core.experience import analytic_return
 from offairl_lite.plain import Batch, Discriminator
 
 LENGTHS = {"total_steps", "eval_every", "eval_episodes"}
@@ -87,7 +88,7 @@ def stored_as_in_the_package(go_on):
 def value_of_the_last_step(R_T):
     """The last step is worth γ r(s_a) / (1 - γ), -9 here."""
     assert math.isclose(R_T, -9)
-    assert math.isclose(R_T, absorbing.analytic_return(0.0, -1.0, 0.9))
+    assert math.isclose(R_T, analytic_return(0.0, -1.0, 0.9))
 
 
 @live
@@ -116,7 +117,7 @@ def one_fixed_point(reward, move, END, RIGHT):
                 value[END] = r[END, 0] / (1 - gamma)
             tables[name] = r + gamma * move @ value
     assert np.allclose(*tables.values())
-    known = absorbing.analytic_return(1.3, -0.2, gamma)
+    known = analytic_return(1.3, -0.2, gamma)
     assert math.isclose(tables["bootstrap"][2, RIGHT], known)
 
 

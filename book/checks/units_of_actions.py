@@ -6,7 +6,7 @@ import numpy as np
 
 from checks import exact
 from offairl_lite import tabular
-from offairl_lite.core import absorbing
+from offairl_lite.core.experience import analytic_return
 
 LEFT, RIGHT, END, ALPHA = 0, 2, 3, 0.2
 
@@ -21,7 +21,7 @@ def entropy_of_the_end(gap, entropy, gamma):
 @exact
 def without_entropy(without, gamma):
     """Without it the last step is worth what the closed form says."""
-    last = absorbing.analytic_return(1, -0.2, gamma)
+    last = analytic_return(1, -0.2, gamma)
     assert np.allclose(without[2, RIGHT], last)
 
 

@@ -14,7 +14,6 @@ from torch import Tensor
 from offairl_lite.core.replay import Batch
 
 Extended = Float[Tensor, "*batch E"]  # with the indicator
-Numbers = Float[Tensor, "*#batch"]
 
 
 def extend(obs: Float[Tensor, "*batch O"]) -> Float[Tensor, "*batch O+1"]:
@@ -74,18 +73,3 @@ def loop_of(batch: Batch) -> Batch:
     first = Batch(*(part[:, :1] for part in batch))
     state, still = absorbing_state(first.obs), torch.zeros_like(first.pre_tanh)
     return first._replace(obs=state, pre_tanh=still, next_obs=state)
-
-
-def analytic_return(reward: Numbers, absorbing_reward: Numbers, discount: float) -> Numbers:
-    """Return R_T: the last reward, and the absorbing state's for ever after."""
-    return reward + discount * absorbing_reward / (1 - discount)
-
-
-def with_analytic_return(batch: Batch, absorbing_reward: Numbers, discount: float) -> Batch:
-    """Return transitions, of which those to the absorbing state are paid R_T, and end there."""
-    ends = is_absorbing(batch.next_obs)
-    total_return = analytic_return(batch.reward, absorbing_reward, discount)
-    return batch._replace(
-        reward=torch.where(ends, total_return, batch.reward),
-        terminated=torch.where(ends, 1, batch.terminated),
-    )

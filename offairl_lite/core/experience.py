@@ -18,7 +18,7 @@ from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Vector
+from offairl_lite.core.shapes import Numbers, Vector
 
 
 def scaling_of(config: Config, replay: Replay, demonstrations: Batch | None) -> Normaliser:
@@ -54,6 +54,19 @@ def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
         for pair in zip(expert, policy, strict=True)
     )
     return Batch(*(torch.cat(pair, 2).flatten(1, 2) for pair in halves))
+
+
+def analytic_return(reward: Numbers, absorbing_reward: Numbers, discount: float) -> Numbers:
+    """Return R_T: the last reward, and the absorbing state's for ever after."""
+    return reward + discount * absorbing_reward / (1 - discount)
+
+
+def with_analytic_return(batch: Batch, absorbing_reward: Numbers, discount: float) -> Batch:
+    """Return transitions, of which those to the absorbing state are paid R_T, and end there."""
+    ends = absorbing.is_absorbing(batch.next_obs)
+    total_return = analytic_return(batch.reward, absorbing_reward, discount)
+    reward = batch.reward.where(~ends, total_return)
+    return batch._replace(reward=reward, terminated=batch.terminated.where(~ends, 1))
 
 
 @dataclass(frozen=True)
@@ -115,7 +128,7 @@ class Experience:
             return paid
         loop = absorbing.loop_of(batch)
         absorbing_reward = learner.reward_scale * self.reward(loop, self.scaled(loop)) - mean
-        return absorbing.with_analytic_return(paid, absorbing_reward, learner.discount)
+        return with_analytic_return(paid, absorbing_reward, learner.discount)
 
     def minibatches(self, count: int) -> list[Batch]:
         """Draw so many minibatches for the learner; SQIL's and IQ-Learn's are twice as large."""

@@ -16,6 +16,7 @@ Noises = Float[Tensor, "D S B A"]  #: Noise for the next actions, the actor's ow
 AnyAction = Float[Tensor, "#S B A"]  #: The same for all members, or those of each.
 Vector = Float[Tensor, "S B"]  #: One number for each transition.
 TwinQ = Float[Tensor, "2 S B"]  #: The values of both critics.
+Numbers = Float[Tensor, "*#batch"]  #: Of any shapes that go together.
 Column = Float[Tensor, "S 1"]  #: One number for each member, such as a temperature or r(s_a).
 PerMember = Float[Tensor, "S"]  #: The same without the second axis.
 Scalar = Float[Tensor, ""]  #: A loss, summed over the members.

@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from offairl_lite.core import absorbing
+from offairl_lite.core.experience import analytic_return
 from offairl_lite.core.replay import Batch
 
 # Two episodes: the first terminates at its third step, the second is cut by a time limit.
@@ -55,7 +56,7 @@ def test_the_absorbing_state_has_the_shape_and_type_asked_for(shape):
 def test_the_analytic_return_is_the_sum_of_the_series():
     reward, there, discount = torch.tensor([2.0, -1.0]), torch.tensor([0.5, -3.0]), 0.9
     series = reward + sum(discount**k * there for k in range(1, 400))
-    torch.testing.assert_close(absorbing.analytic_return(reward, there, discount), series)
+    torch.testing.assert_close(analytic_return(reward, there, discount), series)
 
 
 def test_the_loop_s_fixed_point_makes_bootstrap_and_analytic_agree():
@@ -63,15 +64,15 @@ def test_the_loop_s_fixed_point_makes_bootstrap_and_analytic_agree():
     q = torch.tensor(0.0)
     for _ in range(500):
         q = there + discount * q
-    expected = absorbing.analytic_return(reward, there, discount)
+    expected = analytic_return(reward, there, discount)
     torch.testing.assert_close(reward + discount * q, expected)
     # The loop's own analytic return is that fixed point.
-    torch.testing.assert_close(absorbing.analytic_return(there, there, discount), q)
+    torch.testing.assert_close(analytic_return(there, there, discount), q)
 
 
 def test_a_constant_adds_as_much_to_a_last_step_as_to_a_life_without_end():
     """What the absorbing state is for: with it, a constant prefers no policy to another."""
     reward, there, discount, c = torch.tensor([2.0, -1.0]), torch.tensor(0.5), 0.9, 3.0
-    before = absorbing.analytic_return(reward, there, discount)
-    after = absorbing.analytic_return(reward + c, there + c, discount)
+    before = analytic_return(reward, there, discount)
+    after = analytic_return(reward + c, there + c, discount)
     torch.testing.assert_close(after - before, torch.full((2,), c / (1 - discount)))

@@ -7,8 +7,9 @@ import torch
 
 from offairl_lite.ablations.released import ReleasedSACConfig
 from offairl_lite.config import CORRECTED, SACConfig, TD3Config
-from offairl_lite.core.absorbing import absorbing_state, is_absorbing, with_analytic_return
+from offairl_lite.core.absorbing import absorbing_state, is_absorbing
 from offairl_lite.core.acceleration import PIECE
+from offairl_lite.core.experience import with_analytic_return
 from offairl_lite.core.learner import log_density
 from offairl_lite.core.loop import Trainer
 from offairl_lite.core.policies import gaussian_log_density
