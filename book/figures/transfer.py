@@ -394,7 +394,7 @@ def where_rewards_lead(found, blamed, backwards):
     return _tables(
         (
             "After held steps: the reward decides.",
-            table([*heads, "failures it<br>prefers"], held),
+            table([*heads, "failures paid<br>above demos"], held),
         ),
         (
             "After fresh steps hardly any arrive, even on the true reward.",
