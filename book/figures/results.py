@@ -96,12 +96,11 @@ def evidence(arrived, FOUND, recipe, step, larger):
     EVIDENCE = {
         4: f"{arrived(4)[0]} of {SEEDS} old policies arrive after 100,000 "
         "steps; the others stay in the trap.",
-        6: "No gate arrives, with four primitives within {} steps or with "
-        "eight within {}, at a fixed temperature. ".format(
-            *(c.scale.split("× ")[1] for c in FOUND[6])
-        )
-        + "Nor does one at a learned temperature, which with four "
-        "primitives ran away in half of the seeds.",
+        6: "At a fixed temperature none of ten gates arrives: neither over "
+        "four primitives, within {} steps, nor over eight, within {}. "
+        "".format(*(c.scale.split("× ")[1] for c in FOUND[6]))
+        + "Nor does any at a learned temperature. (Over four primitives "
+        "that temperature grew without bound in half of the seeds.)",
         7: "Ten seeds cannot test a variance. So we ask whether more "
         f"arrive: {eight} of {SEEDS}, and {sac} with SAC, after 40,000 "
         "steps. That may be luck.",
@@ -266,10 +265,10 @@ def _decides(gains):
 def what_choices_add(at_the_end, CHOICES, GAINS):
     """Draw what each choice adds: a panel a robot, a row a choice."""
     groups = {
-        "More than half of the return, on one robot at least": [
+        "Clearly more than half of the return, on some robot": [
             choice for choice, gains in GAINS.items() if _decides(gains)
         ],
-        "Less, or nothing clear": [
+        "At most half, or it may be chance": [
             choice for choice, gains in GAINS.items() if not _decides(gains)
         ],
     }

@@ -73,23 +73,16 @@ def opening(
 
 def pairs(rows: Mapping[str, Sequence]) -> HTML:
     """Return the table of second recordings."""
-    head = (
-        "the second recording",
-        "directions left free",
-        "distance σ",
-        "door elsewhere",
-        "lower wall",
-    )
+    head = ("second film", "left free", "door", "lower wall")
     return table(
         head,
         [
             (
                 name,
                 str(free),
-                f"{far:.3f}" if far else "0",
                 *(f"{100 * x:z.0f} %".replace("-", "−") for x in scores),
             )
-            for name, (free, far, *scores) in rows.items()
+            for name, (free, _, *scores) in rows.items()
         ],
     )
 
@@ -102,7 +95,7 @@ def distances(
 ) -> None:
     """Draw σ of wet floors, and errors of r beside their bound."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(6.2, 2.9))
+        _, axes = plt.subplots(1, 2, figsize=(5.4, 2.9))
     axes[0].plot(slips, far, "o-", color=plots.BLUE)
     axes[0].set(xlabel="commands that go astray", ylabel="distance σ")
     axes[0].set_ylim(0)
@@ -150,7 +143,7 @@ def coverage(kept: Mapping[str, Array]) -> None:
 def game(histories: Mapping[str, Sequence[float]]) -> None:
     """Draw how the adversarial game finds the reward."""
     with plots.style():
-        _, ax = plt.subplots(figsize=(6.4, 2.9))
+        _, ax = plt.subplots(figsize=(5.4, 2.7))
     colors = (plots.ORANGE, plots.BLUE)
     for (name, values), color in zip(
         histories.items(), colors, strict=True
@@ -165,7 +158,7 @@ def game(histories: Mapping[str, Sequence[float]]) -> None:
 def networks(kept: Mapping[str, Mapping]) -> None:
     """Draw the game with networks, and how far mazes are apart."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(6.4, 3.3))
+        _, axes = plt.subplots(1, 2, figsize=(5.6, 3.3))
     dots = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
     for count, color in ((1, plots.ORANGE), (2, plots.BLUE)):
         for x, form in enumerate(("table", "network")):
@@ -198,13 +191,15 @@ def third(
 ) -> None:
     """Draw what new agents reach in a third maze, and with a third body."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(6.4, 3.0))
+        _, axes = plt.subplots(
+            2, 1, figsize=(5.4, 4.9), height_ratios=(6, 4)
+        )
     rows = {
-        "r(s, a), none": "r(s, a), Left",
-        "r(s, a), turned": "and turned",
-        "r(s, a), weak": "and weak",
-        "r(s), none": "r(s), Left",
-        "r(s), turned": "and turned",
+        "r(s, a), none": "r(s, a) of one maze",
+        "r(s, a), turned": "of two, turned",
+        "r(s, a), weak": "of two, weak",
+        "r(s), none": "r(s) of one maze",
+        "r(s), turned": "of two, turned",
     }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
@@ -214,9 +209,10 @@ def third(
         _strips(axes[0], ends, color, side, label)
     _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
     names = [*rows.values(), "true reward"]
-    _name_strips(axes[0], names, "return, third maze")
-    at = {"loc": "center", "bbox_to_anchor": (0.42, 0.36)}
-    axes[0].legend(handletextpad=0.1, **at)
+    _name_strips(axes[0], names, "return in the third maze")
+    axes[0].legend(
+        handletextpad=0.1, loc="center", bbox_to_anchor=(0.5, 0.36)
+    )
     ants = {
         "one body": "able",
         "two bodies": "both",
@@ -228,7 +224,7 @@ def third(
         zip(ants.values(), colors, strict=True)
     ):
         _strips(axes[1], [bodies["new"][name]["true"]], color, first=y)
-    _name_strips(axes[1], [*ants], "return, DisabledAnt")
+    _name_strips(axes[1], [*ants], "return of the third body")
     plt.show()
 
 
