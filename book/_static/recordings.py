@@ -11,13 +11,13 @@ from offairl_lite.analysis import plots
 
 BOOK = Path(__file__).parents[1]
 ENDS = (
-    (4, "terminated=True", "it fell, or finished", plots.RED),
-    (6, "terminated=False", "a time limit, or cut off", plots.GREEN),
+    (3, "terminated=True", "it fell, or finished", plots.RED),
+    (4, "terminated=False", "time limit, or cut off", plots.GREEN),
 )
 
 with plots.style():
     plt.rcParams["svg.hashsalt"] = "recordings"
-    fig, ax = plt.subplots(figsize=(5.4, 2.6))
+    fig, ax = plt.subplots(figsize=(4.4, 2.5))
     for row, (steps, written, why, color) in enumerate(ENDS):
         y = -1.75 * row
         for t in range(steps):
@@ -33,11 +33,11 @@ with plots.style():
             steps, y - 0.42, written, color=color, ha="center", va="top"
         )
         ax.text(steps, y - 0.78, why, ha="center", va="top", fontsize=9)
-    ax.text(0, 0.35, "an observation", color=plots.BLUE, ha="center")
-    ax.text(2.5, 0.35, "an action", color=plots.ORANGE, ha="center")
+    ax.text(0.1, 0.35, "an observation", color=plots.BLUE, ha="center")
+    ax.text(1.9, 0.35, "an action", color=plots.ORANGE, ha="center")
     ax.text(
-        5.2, 0, "4 actions,\n5 observations", va="center", color=plots.GREY
+        3.5, 0, "3 actions,\n4 observations", va="center", color=plots.GREY
     )
-    ax.set(xlim=(-0.9, 7.2), ylim=(-3, 0.8))
+    ax.set(xlim=(-0.7, 5.4), ylim=(-3, 0.8))
     ax.axis("off")
     fig.savefig(BOOK / "_static/recordings.svg", metadata={"Date": None})

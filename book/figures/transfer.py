@@ -227,7 +227,7 @@ def way_back(moved, shown, carried, there):
 def warm_ups(fresh, held):
     """Draw the places that fresh and held actions lead to."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 3))
+        _fig, axes = plt.subplots(1, 2, figsize=(5.6, 2.6))
         for ax, found, title, color in (
             (axes[0], fresh, "fresh actions", plots.ORANGE),
             (axes[1], held, "held actions", plots.BLUE),
@@ -333,7 +333,7 @@ def starts_and_helps(counts):
 def when_a_gate(offered, arrived, gated):
     """Draw which seeds arrive, by the pushes that they can make."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(7.2, 3))
+        _fig, ax = plt.subplots(figsize=(5.6, 2.9))
         order = offered.argsort()
         for i, succeeds in enumerate(arrived.values()):
             for place, there_it_is in enumerate(succeeds[order]):
@@ -345,11 +345,9 @@ def when_a_gate(offered, arrived, gated):
         )
         ax.set_yticks(range(len(gated)), gated)
         ax.set(ylim=(3.6, -0.6), xlim=(-0.6, 9.6))
-        ax.set_xticks(
-            range(10), [f"{100 * x:.0f} %" for x in offered[order]]
-        )
+        ax.set_xticks(range(10), [f"{100 * x:.0f}" for x in offered[order]])
         ax.set_ylabel("warm-up")
-        ax.set_xlabel("places where a primitive pushes left")
+        ax.set_xlabel("% of places where a primitive pushes left")
         ax.grid(False)
         plt.show()
 

@@ -158,7 +158,9 @@ def game(histories: Mapping[str, Sequence[float]]) -> None:
 def networks(kept: Mapping[str, Mapping]) -> None:
     """Draw the game with networks, and how far mazes are apart."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(5.6, 3.3))
+        _, axes = plt.subplots(
+            1, 2, figsize=(5.6, 3.3), width_ratios=(2, 3.3)
+        )
     dots = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
     for count, color in ((1, plots.ORANGE), (2, plots.BLUE)):
         for x, form in enumerate(("table", "network")):
@@ -166,7 +168,7 @@ def networks(kept: Mapping[str, Mapping]) -> None:
             label = ("one world", "two worlds")[count - 1] if x else None
             axes[0].plot([x] * 5, likes, color=color, label=label, **dots)
     axes[0].set(xlim=(-0.6, 1.6), ylim=(0, 1.05), xticks=(0, 1))
-    axes[0].set_xticklabels(("free numbers", "networks"))
+    axes[0].set_xticklabels(("free\nnumbers", "networks"))
     axes[0].set_ylabel("correlation with\nthe true reward")
     axes[0].legend(loc="lower right")
     names = "same\nagain", "wall\nmoved", "weak\nmotors", "turned\ncontrols"
