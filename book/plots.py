@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
+from matplotlib.patheffects import withStroke
 from matplotlib.quiver import Quiver
 
 from offairl_lite.analysis.plots import (  # noqa: F401
@@ -192,3 +193,17 @@ def arrows(
         "zorder": 1.5,
     }
     return ax.quiver(*positions.T, *move.T, **in_metres, **look)
+
+
+def few_arrows(
+    ax: Axes,
+    policy: Float[np.ndarray, "S A"],
+    positions: Float[np.ndarray, "S 2"],
+) -> None:
+    """Draw outlined arrows in every other square of every other row."""
+    squares = np.arange(len(policy)).reshape(-1, math.isqrt(len(policy)))
+    chosen = squares[1:-1:2, 1:-1:2].ravel()
+    heads = arrows(ax, policy[chosen], positions[chosen])
+    outline = withStroke(linewidth=1.4, foreground="black")
+    heads.set(path_effects=[outline])
+    heads.width = 0.007

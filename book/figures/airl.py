@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import matplotlib.patheffects as effects
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
@@ -14,8 +13,6 @@ from offairl_lite import demonstrations, tabular
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import START
 from offairl_lite.tabular import occupancy, soft_value_iteration
-
-OUTLINE = [effects.withStroke(linewidth=1.4, foreground="black")]
 
 
 def old_and_new(cells):
@@ -159,34 +156,31 @@ def against_predictions(learned, true_reward, expert):
 
 
 def best_rewards(learned, opponents, mdp, maze):
-    """Draw the rewards of the best discriminators."""
-    at_random, at_last = (learned[x] for x in list(opponents)[::2])
-    maps = {
-        r"$\log\ (d_E / d_\pi)$, random policy": at_random[2],
-        "$r(s)$, random policy": at_random[0],
-        "$r(s)$, expert": at_last[0],
-    }
+    """Draw the rewards of the best discriminators, and what they err by."""
+    names = list(opponents)[::2]  # the random policy, the expert
+    rewards = [learned[name][0] - learned[name][0].max() for name in names]
+    ratios = [learned[name][2] for name in names]
+    widest = np.abs(ratios[0]).max()
+    lowest = min(reward.min() for reward in rewards)
     with plots.style():
-        fig, axes = plt.subplots(1, 3, figsize=(8.4, 3.8))
-        for ax, (name, values) in zip(axes, maps.items(), strict=True):
-            if ax is axes[0]:
-                limit = np.abs(values).max()
-                image = plots.grid(ax, values, "Left")
-                image.set(cmap="PuOr", clim=(-limit, limit))
-            else:
-                image = plots.grid(ax, values - values.max(), "Left")
-                policy = soft_value_iteration(mdp, values).policy
-                heads = plots.arrows(ax, policy, maze.positions)
-                heads.set_path_effects(OUTLINE)
-            below = {
-                "orientation": "horizontal",
-                "shrink": 0.8,
-                "pad": 0.03,
-            }
-            label = "logarithm of the ratio" if ax is axes[0] else "reward"
-            fig.colorbar(image, ax=ax, label=label, **below)
-            ax.set_title(name)
+        fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.6))
+        for row, ratio, reward in zip(axes, ratios, rewards, strict=True):
+            left = plots.grid(row[0], ratio, "Left")
+            left.set(cmap="PuOr", clim=(-widest, widest))
+            right = plots.grid(row[1], reward, "Left")
+            right.set_clim(lowest, 0)
+            policy = soft_value_iteration(mdp, reward).policy
+            plots.few_arrows(row[1], policy, maze.positions)
         bare(axes)
+        axes[0, 0].set_title(r"$\log\ (d_E / d_\pi)$")
+        axes[0, 1].set_title("the reward $r(s)$")
+        for ax, name in zip(
+            axes[:, 0], ("random policy", "expert"), strict=True
+        ):
+            ax.set_ylabel(f"against the {name}")
+        for image, column in ((left, axes[:, 0]), (right, axes[:, 1])):
+            below = {"location": "bottom", "shrink": 0.8, "pad": 0.02}
+            fig.colorbar(image, ax=column, **below)
         plt.show()
 
 
@@ -226,14 +220,14 @@ def after_the_move(score):
 def entangled(rewards, new_policies, moved):
     """Draw rewards and their policies where the wall has moved."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 3, figsize=(8.4, 3.1))
-        shown = ("true reward", "r(s), network", "r(s, a), exact")
-        for ax, name in zip(axes, shown, strict=True):
-            value = rewards[name]
+        _fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.4))
+        for ax, (name, value) in zip(
+            axes.flat, rewards.items(), strict=True
+        ):
             value = value if value.ndim == 1 else value.max(1)
             plots.grid(ax, value - value.max(), "Right")
-            heads = plots.arrows(ax, new_policies[name], moved.positions)
-            heads.set_path_effects(OUTLINE)
+            policy = new_policies[name]
+            plots.few_arrows(ax, policy, moved.positions)
             ax.set_title(name)
         bare(axes)
         plt.show()

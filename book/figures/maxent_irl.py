@@ -86,15 +86,6 @@ def learning(cells, alpha, num_frames=14):
     return np.concatenate([pictures, *[pictures[-1:]] * 5])
 
 
-def _arrows(ax, policy, maze):
-    # Of every other square in both directions, so that they can be seen
-    cells = np.arange(len(policy)).reshape(-1, round(len(policy) ** 0.5))
-    chosen = cells[1::2, 1::2].ravel()
-    heads = plots.arrows(ax, policy[chosen], maze.positions[chosen])
-    heads.set(path_effects=OUTLINE)
-    heads.width = 0.009
-
-
 def experts(left, expert, right, expert_right, true_reward):
     """Draw the experts of both mazes over the true reward."""
     with plots.style():
@@ -102,7 +93,7 @@ def experts(left, expert, right, expert_right, true_reward):
         shown = (("Left", left, expert), ("Right", right, expert_right))
         for ax, (side, maze, solution) in zip(axes, shown, strict=True):
             image = plots.grid(ax, true_reward, side)
-            _arrows(ax, solution.policy, maze)
+            plots.few_arrows(ax, solution.policy, maze.positions)
             ax.set_title(f"wall on the {side.lower()}")
             ax.set_axis_off()
         fig.colorbar(image, ax=axes, shrink=0.75, label="true reward (m)")
@@ -140,7 +131,7 @@ def ranges(true_reward, shaped):
             shown = reward if reward.ndim == 1 else reward.mean(1)
             image = plots.grid(ax, shown, "Left")
             plan = soft_value_iteration(left.mdp, reward, 0.05)
-            _arrows(ax, plan.policy, left)
+            plots.few_arrows(ax, plan.policy, left.positions)
             ax.set_title(name)
             ax.set_axis_off()
             below = {"orientation": "horizontal", "shrink": 0.7}
@@ -224,7 +215,7 @@ def moved_wall(moved, right, value_of):
             visits = occupancy(right.mdp, policy).sum(1)
             image = plots.grid(ax, visits, "Right")
             image.set(cmap="Purples_r", norm=PowerNorm(0.5, 0, 4))
-            _arrows(ax, policy, right)
+            plots.few_arrows(ax, policy, right.positions)
             value = value_of(policy, right)
             ax.set_title(f"{name}: {percent(value, worst, best)}")
             ax.set_axis_off()
