@@ -162,7 +162,7 @@ def best_rewards(learned, opponents, mdp, maze):
     ratios = [learned[name][2] for name in names]
     widest = np.abs(ratios[0]).max()
     lowest = min(reward.min() for reward in rewards)
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.6))
         for row, ratio, reward in zip(axes, ratios, rewards, strict=True):
             left = plots.grid(row[0], ratio, "Left")
@@ -219,7 +219,7 @@ def after_the_move(score):
 
 def entangled(rewards, new_policies, moved):
     """Draw rewards and their policies where the wall has moved."""
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         _fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.4))
         for ax, (name, value) in zip(
             axes.flat, rewards.items(), strict=True
