@@ -289,20 +289,22 @@ def noise(robots: Iterable[str] = ROBOTS) -> HTML:
 
 
 def networks(cells: Cells) -> HTML:
-    """Return how clones of four demonstrations do with small networks."""
+    """Return how clones of four demonstrations do with equal networks."""
     small = rollouts.read("benchmark")["4-small"]
-    rows = [["cloning, 256-256"], ["cloning, 64-64"], ["the recipe, 64-64"]]
-    for robot in ROBOTS:
-        ends = [
-            cells["4", robot, "clone"].ends,
-            100 * small[robot]["returns"] / expert(robot)[0],
-            cells["4", robot, "airl"].ends
-            if ("4", robot, "airl") in cells
-            else None,
-        ]
-        for row, cell in zip(rows, ends, strict=True):
-            row.append(text_of(cell))
-    return table(("four demonstrations", *ROBOTS), rows)
+
+    def ends(method: str) -> list[Ends | None]:
+        row = [cells.get(("4", robot, method)) for robot in ROBOTS]
+        return [cell and cell.ends for cell in row]
+
+    rows = {
+        "cloning, 256-256": ends("clone"),
+        "cloning, 64-64": [
+            100 * small[robot]["returns"] / expert(robot)[0]
+            for robot in ROBOTS
+        ],
+        "the recipe, 64-64": ends("airl"),
+    }
+    return _compared("Four demonstrations", ROBOTS, rows)
 
 
 def costs(cells: Cells) -> HTML:
@@ -625,17 +627,29 @@ def show(cells: Cells, *blocks: str) -> HTML:
 
 def show_theirs() -> HTML:
     """Return the table of the published figures of `imitation`."""
-    title = "Percent of their experts"
-    lines = [
-        _title(title, len(THEIR_EXPERTS), "th"),
-        _row(_heads(THEIR_EXPERTS), "th"),
-    ]
-    for method, robots in THEIRS.items():
-        cells = [
-            text_of(100 * np.array(robots[robot]) / shown)
+    rows = {
+        method: [
+            100 * np.array(robots[robot]) / shown
             for robot, shown in THEIR_EXPERTS.items()
         ]
-        lines += [_title(f"<b>{method}</b>", len(cells)), _row(cells)]
+        for method, robots in THEIRS.items()
+    }
+    return _compared("Percent of their experts", list(THEIR_EXPERTS), rows)
+
+
+def _compared(
+    title: str,
+    robots: Sequence[str],
+    rows: Mapping[str, Iterable[Ends | None]],
+) -> HTML:
+    """Return a table with a title, and two rows for each name."""
+    width = len(robots)
+    lines = [_title(title, width, "th"), _row(_heads(robots), "th")]
+    for name, row in rows.items():
+        lines += [
+            _title(f"<b>{name}</b>", width),
+            _row([text_of(ends) for ends in row]),
+        ]
     return HTML(f'<table class="table">{"".join(lines)}</table>')
 
 

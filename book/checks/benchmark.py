@@ -304,13 +304,13 @@ def sqil_with_a_learned_temperature():
 @recorded
 def only_hopper(cells):
     """SQIL and IQ-Learn come to 99 % and more on Hopper, and to at most
-    half of the expert on each other robot that has been run."""
+    35 % on each other robot that has been run."""
     for robot in ROBOTS:
         for method in ("sqil", "iq-learn"):
             if ("4", robot, method) not in cells:
                 continue
             mean = summary(cells["4", robot, method].ends).mean
-            assert mean > 98.5 if robot == "Hopper" else mean < 50
+            assert mean > 98.5 if robot == "Hopper" else mean < 35.5
 
 
 @recorded
@@ -327,6 +327,18 @@ def sqil_and_iq_learn_on_hopper(cells):
     for robot, ahead in (("Hopper", True), ("Walker2d", False)):
         pair = (cells["4", robot, m].ends for m in ("sqil", "airl"))
         assert (difference(*pair)[1] > 0) == ahead
+
+
+@recorded
+def ranges_with_four(cells):
+    """With four recordings clones come to 23 to 84 %, and the recipe to 23
+    to 88."""
+    for method, most in (("clone", 84), ("airl", 88)):
+        means = [
+            round(summary(cells["4", robot, method].ends).mean)
+            for robot in ROBOTS
+        ]
+        assert (min(means), max(means)) == (23, most)
 
 
 @recorded
