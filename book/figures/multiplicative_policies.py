@@ -70,13 +70,13 @@ GATES = {
 def mcp_graph():
     """Draw how the gate and primitives make an action."""
     _fig, _ax = drawing.diagram(
-        (7.2, 2.5),
+        (4.2, 4.0),
         {
-            "s": (0.7, 1.25, "state\n$s$"),
-            "g": (2.6, 2.0, "gate", plots.ORANGE),
-            "t": (2.6, 0.6, "trunk and\n$K$ primitives", plots.BLUE),
-            "p": (5.0, 1.25, "product\n$\\mu,\\ \\sigma$", plots.GREEN),
-            "a": (6.6, 1.25, "action\n$\\tanh u$"),
+            "s": (2.1, 3.6, "state $s$"),
+            "g": (0.9, 2.6, "gate", plots.ORANGE),
+            "t": (3.2, 2.6, "trunk and\n$K$ primitives", plots.BLUE),
+            "p": (2.1, 1.3, "product\n$\\mu,\\ \\sigma$", plots.GREEN),
+            "a": (2.1, 0.3, "action $\\tanh u$"),
         },
         [
             ("s", "g"),

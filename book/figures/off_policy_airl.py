@@ -57,7 +57,7 @@ def _spread(ends):
 
 def moving_wall(imitation, demonstrated, kept):
     """Return a film of the chapter: a reward is learned, the wall moves."""
-    COLORS = {"learned": plots.BLUE, "old": plots.RED, "new": plots.GREEN}
+    COLORS = {"learned": plots.BLUE, "old": plots.RED, "new": plots.PURPLE}
     STORY = {
         "shown": (12, "1  Fifty runs\n    of experts"),
         "reward": (6, "2  The reward\n    behind them"),
@@ -81,9 +81,11 @@ def moving_wall(imitation, demonstrated, kept):
         image.set_alpha(0)
         ax.axis("off")
         barrier = ax.collections[0]
-        swarm = LineCollection([], colors=plots.BLUE, lw=1.4, alpha=0.5)
+        swarm = LineCollection([], colors=plots.GREEN, lw=1.4, alpha=0.5)
         ax.add_collection(swarm)
-        heads = ax.plot([], [], "o", color=plots.BLUE, ms=5, mec="white")[0]
+        heads = ax.plot([], [], "o", color=plots.GREEN, ms=5, mec="white")[
+            0
+        ]
         trails = {}
         for name, color in COLORS.items():
             line = ax.plot([], [], color=color, lw=3.2, path_effects=EDGE)[
@@ -131,26 +133,26 @@ def moving_wall(imitation, demonstrated, kept):
 def loop():
     """Draw the loop of off-policy AIRL."""
     _fig, _ = diagram(
-        (6.4, 3.9),
+        (4.3, 4.4),  # two columns, which a phone can show, too
         {
             "policy": (
                 0.9,
-                3.2,
+                3.9,
                 "policy\n" + r"$\pi(a \mid s)$",
                 plots.BLUE,
             ),
-            "maze": (3.2, 3.2, "maze"),
-            "replay": (5.5, 3.2, "replay buffer\n" + r"$R$", plots.ORANGE),
-            "sac": (0.9, 0.6, "soft\nactor-critic", plots.BLUE),
+            "maze": (3.4, 3.9, "maze"),
+            "replay": (3.4, 2.2, "replay buffer\n" + r"$R$", plots.ORANGE),
+            "sac": (0.9, 2.2, "soft\nactor-critic", plots.BLUE),
             "airl": (
-                3.2,
-                0.6,
+                0.9,
+                0.5,
                 "discriminator\n" + r"$r_\psi,\ V_\omega$",
                 plots.RED,
             ),
             "expert": (
-                5.5,
-                0.6,
+                3.4,
+                0.5,
                 "demonstrations\n" + r"$R_E$",
                 plots.GREEN,
             ),
@@ -159,7 +161,7 @@ def loop():
             ("policy", "maze", "acts"),
             ("maze", "replay", "stores"),
             ("replay", "sac", "old steps"),
-            ("replay", "airl", "old steps", -0.25),
+            ("replay", "airl", "old steps"),
             ("expert", "airl", "steps"),
             ("airl", "sac", r"$r_\psi(s)$"),
             ("sac", "policy", "improves"),
@@ -177,7 +179,7 @@ def mazes(demonstrated):
             ax.set_title(f"PointMaze{side}")
         axes[1].set_ylabel("")
         axes[0].plot(
-            *demonstrated[:10].T, color=plots.BLUE, alpha=0.7, lw=1
+            *demonstrated[:10].T, color=plots.GREEN, alpha=0.7, lw=1
         )
         plt.show()
 
@@ -222,7 +224,7 @@ def wall_moved(old_return, stuck, new, airl, scale):
             (
                 f"new policy: {percent(new['new_return'])}",
                 new["new_paths"],
-                plots.GREEN,
+                plots.PURPLE,
             ),
         )
         for ax, (title, walks, color) in zip(axes, shown, strict=True):
@@ -239,7 +241,7 @@ def five_seeds(imitation, expert, transfer, target):
         _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
         curves = (
             (imitation, plots.BLUE, "imitation", expert.returns.mean()),
-            (transfer, plots.ORANGE, "transfer", target),
+            (transfer, plots.PURPLE, "transfer", target),
         )
         for ax, (run, color, title, value) in zip(
             axes, curves, strict=True
@@ -319,21 +321,19 @@ def robot_results():
     for robot in ("Hopper", "Walker2d", "HalfCheetah"):
         about = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
         demonstrated_return[robot] = about["demonstrated"][0]
+        noiseless = about["returns"][0]
         for loss in ("released", "exact"):
             robot_runs[robot, loss] = records.read(
                 f"records/what-decides-demo/{robot}-{loss}-fixed-short"
             )
         recipe, exact = (
             _spread(
-                100
-                * robot_runs[robot, loss].returns[:, -1]
-                / demonstrated_return[robot]
+                100 * robot_runs[robot, loss].returns[:, -1] / noiseless
             )
             for loss in ("released", "exact")
         )
-        rows.append(
-            (robot, number(demonstrated_return[robot]), recipe, exact)
-        )
+        shown = number(100 * demonstrated_return[robot] / noiseless)
+        rows.append((robot, f"{shown}\u00a0%", recipe, exact))
     return robot_runs, demonstrated_return, rows
 
 
@@ -342,7 +342,7 @@ def robots(rows):
     return table(
         [
             "median [worst, best seed]",
-            "demonstrations return",
+            "demonstrations",
             "recipe",
             "AIRL loss",
         ],

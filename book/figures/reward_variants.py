@@ -135,38 +135,38 @@ def variants(NAMES, final, COLORS, correlation, shown):
 def feedback():
     """Draw how a whole logit as reward feeds back."""
     diagram(
-        (7.0, 3.2),
+        (4.3, 2.7),
         {
             "rare": (
-                1.2,
-                2.6,
+                0.95,
+                2.2,
                 "policy $\\pi_k$:\n$a$ too rare",
                 plots.BLUE,
             ),
             "high": (
-                5.6,
-                2.6,
+                3.3,
+                2.2,
                 "reward $f - \\log\\ \\pi_k$:\n$a$ high",
                 plots.RED,
             ),
             "often": (
-                5.6,
-                0.6,
+                3.3,
+                0.5,
                 "policy $\\pi_{k+1}$:\n$a$ too frequent",
                 plots.BLUE,
             ),
             "low": (
-                1.2,
-                0.6,
+                0.95,
+                0.5,
                 "reward $f - \\log\\ \\pi_{k+1}$:\n$a$ low",
                 plots.RED,
             ),
         },
         [
-            ("rare", "high", "round $k$"),
-            ("high", "often", "SAC"),
-            ("often", "low", "round $k + 1$"),
-            ("low", "rare", "SAC"),
+            ("rare", "high", ""),
+            ("high", "often", "SAC, round $k$"),
+            ("often", "low", ""),
+            ("low", "rare", "SAC, round $k + 1$"),
         ],
     )
     plt.show()
@@ -240,7 +240,7 @@ def crossed(WORDS, counted):
         for form, counts in counted.items()
     }
     return table(
-        ("r(s, a) + r(s), of 5 + 5", "tail in the reward", "no tail"),
+        ("seeds that arrive", "tail in the reward", "no tail"),
         [
             (
                 "<b>loop in the reward</b>",
@@ -359,7 +359,7 @@ def transfers(HOME):
                 HOME / f"what-decides-demo/{robot}-{name}-fixed-short"
             )
             robot_runs[robot, name] = run
-            share = 100 * run.returns[:, -1] / about["demonstrated"][0]
+            share = 100 * run.returns[:, -1] / about["returns"][0]
             percent[robot, name] = np.median(share)
     return arrived, robot_runs, percent
 

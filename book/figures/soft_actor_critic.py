@@ -18,22 +18,22 @@ def _shown(x):
 def sac_loop():
     """Draw the loop of SAC."""
     boxes = {
-        "env": (0.85, 2.5, "environment"),
-        "replay": (3.3, 2.5, "replay\nbuffer"),
-        "critic": (6.4, 2.5, "critics\n$Q_1, Q_2$", plots.BLUE),
-        "actor": (0.85, 0.6, "actor $\\pi$", plots.BLUE),
-        "slow": (6.4, 0.6, "slow copies\n$\\bar{Q}_1, \\bar{Q}_2$"),
+        "actor": (0.75, 4.1, "actor $\\pi$", plots.BLUE),
+        "env": (3.6, 4.1, "environment"),
+        "slow": (0.75, 0.6, "slow copies\n$\\bar{Q}_1, \\bar{Q}_2$"),
+        "critic": (3.6, 0.6, "critics\n$Q_1, Q_2$", plots.BLUE),
+        "replay": (3.6, 2.6, "replay\nbuffer"),
     }
     arrows = [
         ("actor", "env", "action $a$"),
         ("env", "replay", "$s, a, r, s'$"),
         ("replay", "critic", "minibatch"),
         ("critic", "actor", "which actions\nare better"),
-        ("critic", "slow", "followed at\nthe rate $\\tau$", 0.6),
-        ("slow", "critic", "give the\ntarget $y$", 0.6),
+        ("critic", "slow", "followed at\nthe rate $\\tau$", -0.35),
+        ("slow", "critic", "give the\ntarget $y$", -0.35),
         ("actor", "slow", "next action $a'$"),
     ]
-    _fig, _ax = diagram((7.8, 3.1), boxes, arrows)
+    _fig, _ax = diagram((4.4, 4.5), boxes, arrows)
     plt.show()
 
 
