@@ -206,11 +206,11 @@ class Discriminator:
 
     def logits(self, expert: Transitions, policy: Transitions) -> tuple[Vector, Vector]:
         """Return ℓ = f - log π, or ℓ = f, of the expert's and of the policy's transitions."""
-        both = both_sides(expert, policy)
-        f = self.f(both)
-        logit = log_odds(f, both.log_prob) if self.policy_in_logit else f
-        expert_logit, policy_logit = logit.chunk(2, 1)
-        return expert_logit, policy_logit
+        expert_f, policy_f = self.f(both_sides(expert, policy)).chunk(2, 1)
+        if not self.policy_in_logit:
+            # In one piece, as a difference is: functions of rows round their ends otherwise.
+            return expert_f.contiguous(), policy_f.contiguous()
+        return log_odds(expert_f, expert.log_prob), log_odds(policy_f, policy.log_prob)
 
     def loss(
         self, expert: Transitions, policy: Transitions, mixing: Mixing
