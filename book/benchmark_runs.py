@@ -470,7 +470,7 @@ def _no_actions(cells: Cells) -> tuple[str, bool]:
 
 def short(cells: Cells) -> str:
     """Return the README's table, in Markdown: four demonstrations."""
-    lines = [f"| | {' | '.join(ROBOTS)} | command |", "|---" * 7 + "|"]
+    lines = [f"| | {' | '.join(ROBOTS)} |", "|---" * 6 + "|"]
     for method in METHODS:
         keys = [("4", robot, method) for robot in ROBOTS]
         if not any(key in cells for key in keys):
@@ -479,9 +479,7 @@ def short(cells: Cells) -> str:
             number(summary(cells[key].ends).mean) if key in cells else "–"
             for key in keys
         ]
-        (command,) = commands("4", method)
-        parts = METHODS[method], *means, f"`{command}`"
-        lines.append(f"| {' | '.join(parts)} |")
+        lines.append(f"| {' | '.join([METHODS[method], *means])} |")
     return "\n".join(lines)
 
 
