@@ -570,6 +570,29 @@ def test_the_ranges_are_those_of_the_records():
         assert sum(returns > 0.4 * demonstrated(robot)) == walking
 
 
+def test_the_ranges_of_the_recipe_s_loss_are_those_of_the_records():
+    """Of a good run and of one with one setting changed, on three robots."""
+    runs = {
+        "Hopper, good": "what-decides-demo/Hopper-released-fixed-short",
+        "Hopper, nothing after the end": "hopper-none-demo/Hopper-released-fixed-short",
+        "Walker2d, good": "what-decides-demo/Walker2d-released-fixed-short",
+        "Walker2d, 10,000 random steps": "what-decides-demo/Walker2d-released-fixed-long",
+        "HalfCheetah, good": "what-decides-demo/HalfCheetah-released-fixed-short",
+        "HalfCheetah, a temperature of 1": "what-decides-demo/HalfCheetah-released-one-short",
+    }
+    for title, name in runs.items():
+        assert records.read(RECORDS / name).config.discriminator.loss == "log-ratio"
+        gap = gaps(late(name))
+        entropy = [row.metrics["entropy"] for row in late(name)]
+        ends = records.read(RECORDS / name).returns[:, -1]
+        cells = (
+            f"{gap.min():.1f}–{gap.max():.1f}",
+            f"{min(entropy):.2f}–{max(entropy):.2f}",
+            f"{ends.min():,.0f}–{ends.max():,.0f}".replace("-", "−"),
+        )
+        assert f"| {title} | {' | '.join(cells)} |" in PAGE
+
+
 def test_the_gap_falls_as_the_return_rises():
     for (_, name), said in zip(RECIPE.items(), (-0.6, -0.8), strict=True):
         rows = records.read(RECORDS / name).rows
