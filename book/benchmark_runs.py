@@ -16,7 +16,6 @@ from IPython.display import HTML
 from jaxtyping import Float64
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import rollouts
 from drawing import table
@@ -347,6 +346,8 @@ def advice(cells: Cells) -> list[str]:
         "without recorded actions": _no_actions(cells),
     }
     sentences = [text for text, _ in answers.values() if text]
+    if text := _dac(cells):
+        sentences.append(text)
     waiting = [name for name, (_, known) in answers.items() if not known]
     if waiting:
         sentences.append(
@@ -445,6 +446,25 @@ def _few(cells: Cells) -> tuple[str, bool]:
         f"{text}; it is clearly ahead of {METHODS[other]} on "
         f"{_names(ahead)}, and clearly behind on {_names(behind)}."
     ), True
+
+
+def _dac(cells: Cells) -> str:
+    """Return where the recipe and DAC differ, with four demonstrations."""
+    both = [
+        robot
+        for robot in ROBOTS
+        if {("4", robot, m) for m in ("airl", "dac")} <= set(cells)
+    ]
+    if not both:
+        return ""
+    ahead, behind = clear(cells, "4", "airl", "dac", both)
+    level = [robot for robot in both if robot not in (*ahead, *behind)]
+    return (
+        "**The recipe or DAC, from four recordings:** the recipe is "
+        f"clearly ahead on {_names(ahead)}, and clearly behind on "
+        f"{_names(behind)}; the difference is not clear on "
+        f"{_names(level)}."
+    )
 
 
 def _no_actions(cells: Cells) -> tuple[str, bool]:
@@ -651,67 +671,73 @@ def _compared(
     return HTML(f'<table class="table">{"".join(lines)}</table>')
 
 
-LOOKS = {
-    "clone": ("black", "o"),
-    "airl": (plots.BLUE, "s"),
-    "dac": (plots.ORANGE, "^"),
-    "state-dac": (plots.GREEN, "v"),
-    "sqil": (plots.RED, "D"),
-    "iq-learn": (plots.PURPLE, "P"),
-    "airl-warm": ("#56B4E9", "X"),
+COLORS = {
+    "clone": "black",
+    "airl": plots.BLUE,
+    "dac": plots.ORANGE,
+    "state-dac": plots.GREEN,
+    "sqil": plots.RED,
+    "iq-learn": plots.PURPLE,
+    "airl-warm": "#56B4E9",
 }
-"""Colour and marker of each method."""
 
 
 def draw(cells: Cells) -> Figure:
-    """Draw percent against the number of demonstrations, by robot."""
-    fig, axes = plt.subplots(3, 2, figsize=(5.6, 7.4), sharey=True)
-    for ax, robot in zip(axes.flat, ROBOTS, strict=False):
-        _panel(ax, cells, robot)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("% of the expert")
-    for ax in (axes[1, 1], axes[2, 0]):
-        ax.set_xlabel("demonstrations")
-    axes[-1, -1].axis("off")
-    axes[0, 0].text(-0.45, 104, "expert", color=plots.GREY)
-    style = {"markersize": 6, "linewidth": 1.5}
-    marks = [
-        Line2D(
-            [], [], color=color, marker=marker, label=METHODS[m], **style
-        )
-        for m, (color, marker) in LOOKS.items()
-        if any(key[0] in COUNTS and key[2] == m for key in cells)
+    """Draw four demonstrations, a panel for each robot, and clones of more.
+
+    The last panel has clones by the number of demonstrations.
+    """
+    fig, axes = plt.subplots(3, 2, figsize=(5.6, 7.2))
+    methods = [
+        method
+        for method in METHODS
+        if any(("4", robot, method) in cells for robot in ROBOTS)
     ]
-    marks.append(
-        Line2D(
-            [], [], color=plots.GREY, ls=":", label="fifty demonstrations"
-        )
-    )
-    axes[-1, -1].legend(handles=marks, loc="center", fontsize="medium")
+    for ax, robot in zip(axes.flat, ROBOTS, strict=False):
+        _panel(ax, cells, robot, methods)
+    for ax in axes[:, 0]:
+        names = [METHODS[method] for method in methods]
+        ax.set_yticklabels([x.replace(" from", "\nfrom") for x in names])
+    for ax in (axes[1, 1], axes[2, 0]):
+        ax.set_xlabel("% of the expert")
+    _clones(axes[-1, -1], cells)
     return fig
 
 
-def _panel(ax: Axes, cells: Cells, robot: str) -> None:
-    """Draw one robot: a mark and its interval for each method."""
+def _panel(
+    ax: Axes, cells: Cells, robot: str, methods: Sequence[str]
+) -> None:
+    """Draw one robot: a mark, its interval and the worst seed in a row."""
     without, shown = expert(robot)
-    ax.axhline(100, color=plots.GREY, linestyle="--", linewidth=1)
-    ax.axhline(
+    ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
+    ax.axvline(
         100 * shown / without, color=plots.GREY, linestyle=":", lw=1.3
     )
-    for i, (method, (color, marker)) in enumerate(LOOKS.items()):
-        points = [
-            (at + 0.1 * (i - 3), *summary(cells[count, robot, method].ends))
-            for at, count in enumerate(COUNTS)
-            if (count, robot, method) in cells
-        ]
-        if not points:
+    for y, method in enumerate(methods):
+        if (cell := cells.get(("4", robot, method))) is None:
             continue
-        x, mean, low, high, _ = np.transpose(points)
-        bars = np.maximum([mean - low, high - mean], 0)
-        ax.plot(x, mean, color=color, linewidth=0.8, alpha=0.5)
-        ax.errorbar(
-            x, mean, bars, fmt=marker, color=color, markersize=5, lw=1.2
-        )
-    ax.set(xlim=(-0.5, 2.5), ylim=(-8, 128), title=robot)
+        mean, low, high, worst = summary(cell.ends)
+        color = COLORS[method]
+        ax.plot([low, high], [y, y], color=color, lw=2, alpha=0.6)
+        ax.plot(mean, y, "o", color=color, ms=6)
+        ax.plot(worst, y, "|", color=color, ms=9, mew=1.5)
+    ax.set(xlim=(-8, 118), ylim=(len(methods) - 0.4, -0.6), title=robot)
+    ax.set_yticks(range(len(methods)), [""] * len(methods))
+    ax.grid(visible=False, axis="y")
+
+
+def _clones(ax: Axes, cells: Cells) -> None:
+    """Draw clones by the number of demonstrations, a line for a robot."""
+    for robot, marker in zip(ROBOTS, "osD^v", strict=True):
+        means = [
+            summary(cells[count, robot, "clone"].ends).mean
+            if (count, robot, "clone") in cells
+            else np.nan
+            for count in COUNTS
+        ]
+        ax.plot(means, marker=marker, ms=4, lw=1.2, label=robot)
+    ax.axhline(100, color=plots.GREY, linestyle="--", linewidth=1)
+    ax.set(title="clones", xlim=(-0.2, 4.6), ylim=(-8, 118))
     ax.set_xticks(range(len(COUNTS)), COUNTS)
-    ax.grid(visible=False, axis="x")
+    ax.set_xlabel("demonstrations", x=0.25)
+    ax.legend(fontsize="small", loc="center right", frameon=False)

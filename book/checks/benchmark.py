@@ -227,6 +227,28 @@ def four_recordings_so_far(cells, ADVICE):
 
 
 @recorded
+def the_recipe_or_dac(cells, ADVICE):
+    """With four recordings DAC is clearly ahead of the recipe on Walker2d
+    alone, and what to use when says on which robots they do not differ."""
+    (text,) = [x for x in ADVICE if x.startswith("**The recipe or DAC")]
+    ahead, _, level = text.partition("; ")
+    for robot in ROBOTS:
+        pair = [
+            cells["4", robot, method].ends
+            for method in ("airl", "dac")
+            if ("4", robot, method) in cells
+        ]
+        if len(pair) < 2:
+            assert not re.search(rf"\b{robot}\b", text)
+            continue
+        _, low, high = difference(*pair)
+        assert (high < 0) == (robot == "Walker2d")
+        assert low < 0
+        place = ahead if high < 0 else level
+        assert re.search(rf"\b{robot}\b", place)
+
+
+@recorded
 def cheetahs_of_four_recordings(cells):
     """The best of ten clones of four HalfCheetahs returns 9,314, the worst
     2,633 and the expert 9,947; the recipe has about half of that, and on

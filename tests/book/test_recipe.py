@@ -190,10 +190,11 @@ def test_what_to_use_when_says_what_is_known(monkeypatch):
     assert table.count("–") == 8
     assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
     full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
-    many, few, no_actions = bench.advice(full)
+    many, few, no_actions, either = bench.advice(full)
     assert "clone them.** " in many
     assert "Four recordings: cloning.** " in few
     assert "without recorded actions" not in no_actions
+    assert "ahead on no robot, and clearly behind on no robot" in either
     assert "Not run yet" not in bench.block_table(full, "4")
 
 

@@ -368,7 +368,12 @@ def test_a_record_names_what_it_has_of_other_runs(folder, monkeypatch):
         assert not spec.inherited
         return
     assert set(spec.inherited) == needed
-    kept = [Path(f) for about in spec.inherited.values() for f in about["files"]]
+    kept = [
+        Path(f)
+        for name, about in spec.inherited.items()
+        if not (HOME / folder / f"{name}.safetensors").is_file()
+        for f in about["files"]
+    ]
     assert all(about["files"] for about in spec.inherited.values())
     # Policies of large networks are megabytes, and not here.
     assert all(path.exists() for path in kept if path.parts[0] != "runs")  # or its folder
