@@ -27,14 +27,14 @@ CHANGED = {
 
 
 def ends(name, robot):
-    """Return percent of the demonstrations after 100,000 steps."""
+    """Return percent of the expert without noise after 100,000 steps."""
     folder = BOOK / "records" / name.format(robot)
     if not folder.is_dir():
         return np.empty(0)
     run = records.read(folder)
     noted = records.read_json(demonstrations.EXPERTS / f"{robot}.json")
     found = run.returns[:, run.steps == 100_000].ravel()
-    return 100 * found / noted["demonstrated"][0]
+    return 100 * found / noted["returns"][0]
 
 
 with plots.style():
@@ -57,10 +57,10 @@ with plots.style():
                 ax.plot(found, at, "o", color=color, alpha=0.7, ms=5.5)
         ax.axvline(100, color=plots.GREEN, ls="--", lw=1.2, zorder=0)
         ax.set_title(title, color=plots.RED)
-        ax.set(xlim=(-10, 165), xticks=(0, 50, 100, 150))
+        ax.set(xlim=(-8, 112), xticks=(0, 50, 100))
         ax.set(yticks=range(4), yticklabels=ROBOTS, ylim=(3.6, -0.6))
     for ax in axes[1]:
-        ax.set(xlabel="% of demonstrations")
+        ax.set(xlabel="% of the expert")
     axes[1, 1].text(5, 1.4, "the recipe", color=plots.BLUE)
     axes[1, 1].text(5, 2.3, "one setting\nchanged", color=plots.RED)
     fig.savefig(BOOK / "_static/settings.svg", metadata={"Date": None})

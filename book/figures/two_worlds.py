@@ -198,10 +198,10 @@ def third(
         )
     rows = {
         "r(s, a), none": "r(s, a) of one maze",
-        "r(s, a), turned": "of two, turned",
-        "r(s, a), weak": "of two, weak",
+        "r(s, a), turned": "two, controls turned",
+        "r(s, a), weak": "two, weak motors",
         "r(s), none": "r(s) of one maze",
-        "r(s), turned": "of two, turned",
+        "r(s), turned": "two, controls turned",
     }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
