@@ -354,7 +354,12 @@ def sqil_and_iq_learn_on_hopper(cells):
 @recorded
 def ranges_with_four(cells):
     """With four recordings clones come to 23 to 84 %, and the recipe to 23
-    to 88."""
+    to 88; over the robots cloning averages 57, the recipe 54, DAC 57."""
+    for method, percent in (("clone", 57), ("airl", 54), ("dac", 57)):
+        of_robots = [
+            summary(cells["4", robot, method].ends).mean for robot in ROBOTS
+        ]
+        assert round(np.mean(of_robots)) == percent
     for method, most in (("clone", 84), ("airl", 88)):
         means = [
             round(summary(cells["4", robot, method].ends).mean)

@@ -126,6 +126,13 @@ def cases() -> dict[str, tuple[Config, Change]]:
         },
         "density of the replay": (EXACT, partial(density, [])),
         "temperature 1.2": (EXACT.change(temperature=1.2), nothing),
+        **{
+            f"temperature 1.2, penalty {weight:g}": (
+                EXACT.change(temperature=1.2, gradient_penalty=weight),
+                nothing,
+            )
+            for weight in (0.1, 0)
+        },
     }
 
 
