@@ -1,5 +1,6 @@
 """The mazes and ants on which the rewards of two worlds are tried, for chapter 12."""
 
+import json
 from contextlib import closing
 
 import gymnasium
@@ -64,6 +65,27 @@ def test_the_mirror_image_of_disabledant_has_weak_left_legs():
     strength = abs(ant.actuator_gear[:, 0]), abs(image.actuator_gear[:, 0])
     legs = [np.repeat(two_bodies.LEGS, 2)[force == 1].tolist() for force in strength]
     assert legs == [[4, 4, 3, 3], [1, 1, 2, 2]]
+
+
+def test_the_table_of_the_third_maze_is_the_record_s():
+    new = rollouts.read("third_maze")["new"]
+    cells = json.loads((RECORDS.parent / "12_two_worlds.ipynb").read_text("utf-8"))["cells"]
+    page = "".join("".join(cell["source"]) for cell in cells)
+
+    def arrived(form, worlds, *mazes):
+        return sum(int((new[f"{form}, {worlds}, {maze}"] > -15).sum()) for maze in mazes)
+
+    both = "moved", "mirrored"
+    for worlds, name in (("none", "PointMazeLeft alone"), ("turned", "two, turned controls")):
+        assert f"$r(s)$ of {name} | {arrived('r(s)', worlds, *both)} of 10 arrive" in page
+    names = {
+        "none": "PointMazeLeft alone | {} of 5 arrive; mirrored, {} of 5",
+        "turned": "two, turned controls | {} of 5; mirrored, {} of 5",
+        "weak": "two, one with weak motors | {} of 5; mirrored, {} of 5",
+    }
+    for worlds, row in names.items():
+        counts = [arrived("r(s, a)", worlds, maze) for maze in both]
+        assert f"$r(s, a)$ of {row.format(*counts)}" in page
 
 
 @pytest.mark.parametrize("form", third_maze.FORMS)
