@@ -11,11 +11,11 @@ EXPERT = 9_947
 CAUSES = {
     "log-ratio": ("the log-ratio loss", plots.BLUE),
     "exact": ("the AIRL loss", plots.RED),
+    "density of the replay": ("the replay's own density", plots.GREEN),
     "clip -10": ("log π cut off at −10", plots.GREY),
     "clip -20": ("log π cut off at −20", plots.GREY),
     "last 1,000": ("the last 1,000 steps alone", plots.GREY),
     "last 10,000": ("the last 10,000 steps alone", plots.GREY),
-    "density of the replay": ("the replay's own density", plots.GREY),
     "penalty 1": ("a penalty of 1", plots.GREY),
     "penalty 0.1": ("a penalty of 0.1", plots.GREY),
     "penalty 0": ("no penalty", plots.GREY),
