@@ -298,24 +298,25 @@ def equal_networks(cells):
 @recorded
 def a_clone_as_a_start(cells):
     """From a clone four of five seeds of HalfCheetah end at 74 to 83 %, and
-    one at 13; without it at 27 to 58. Hopper, Walker2d and HalfCheetah come
-    to 88, 68 and 75, on average 77, the recipe alone to 54, DAC to 59 and
-    clones to 50; on Walker2d it is clearly ahead of each of them."""
+    one at 13; without it at 27 to 58. Hopper, Walker2d, HalfCheetah
+    and CustomAnt come to 88, 68, 75 and 75, on average 77, the recipe
+    alone to 59, DAC to 63 and clones to 59; on Walker2d it is
+    clearly ahead of each of them."""
     worst, *others = np.sort(cells["4", "HalfCheetah", "airl-warm"].ends)
     assert round(worst) == 13
     assert [round(x) for x in (others[0], others[-1])] == [74, 83]
     alone = cells["4", "HalfCheetah", "airl"].ends
     assert [round(x) for x in (alone.min(), alone.max())] == [27, 58]
     assert round(summary(cells["4", "Hopper", "airl"].ends).mean) == 88
-    averages = {"airl-warm": 77, "airl": 54, "dac": 59, "clone": 50}
+    averages = {"airl-warm": 77, "airl": 59, "dac": 63, "clone": 59}
     for method, percent in averages.items():
         means = [
             summary(cells["4", robot, method].ends).mean
-            for robot in ROBOTS[:3]
+            for robot in ROBOTS[:4]
         ]
         assert round(np.mean(means)) == percent
         if method == "airl-warm":
-            assert [round(x) for x in means] == [88, 68, 75]
+            assert [round(x) for x in means] == [88, 68, 75, 75]
         else:
             pair = "airl-warm", method
             ends = (cells["4", "Walker2d", m].ends for m in pair)
