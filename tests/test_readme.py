@@ -54,7 +54,7 @@ def follow(text, folder):
     }
     printed = {}
     for kind, code, before in steps(text):
-        saved = re.search(r"Save it as `(\S+)`:\s*$", before)
+        saved = re.search(r"[Ss]ave (?:it|this)[^`]* as `(\S+)`[^`]*:\s*$", before)
         if saved:
             (folder / saved[1]).write_text(code)
             continue
