@@ -64,13 +64,16 @@ def digest(page: Path) -> str:
 
     A cell that only shows an interactive figure computes nothing, and
     what a cell with an exercise makes no other cell and no statement uses.
+    How the lines are divided into cells changes nothing.
     """
     cells = json.loads(page.read_text("utf-8"))["cells"]
     code = [
-        "".join(cell["source"])
+        line
         for cell in cells
         if cell["cell_type"] == "code"
         and not {"toy", "exercise"} & set(cell["metadata"].get("tags", []))
+        for line in "".join(cell["source"]).splitlines()
+        if line.strip()
     ]
     text = json.dumps([code, statements(page.stem)])
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -183,6 +183,17 @@ def test_a_cell_for_the_reader_alone_is_no_change(toy, tag):
     assert portable.digest(toy) == before
 
 
+def test_only_the_lines_of_code_count_not_their_cells(toy):
+    before, page = portable.digest(toy), nbformat.read(toy, as_version=4)
+    code = "\n\n".join(c.source for c in page.cells if c.cell_type == "code")
+    page.cells = [nbformat.v4.new_code_cell(code)]
+    nbformat.write(page, toy)
+    assert portable.digest(toy) == before
+    page.cells[0].source += "\n1"
+    nbformat.write(page, toy)
+    assert portable.digest(toy) != before
+
+
 def test_no_statement_of_the_book_has_failed_elsewhere():
     """Of a page that was run less often than needed `make test` makes one run more."""
     entries = [portable.entry_of(name, page) for name, page in portable.pages().items()]
