@@ -29,10 +29,8 @@ from offairl_lite.minari_storage import Recording, outside, write
 from offairl_lite.recordings import from_flat, played, recording_of
 
 EXPERTS = Path(__file__).parent / "experts"  # The folder of the shipped experts.
-PURPOSE = 1
-"""Makes the episodes of a data set differ from those of evaluations (`rollouts.episode_seeds`)."""
-ACTIONS = ".actions.xz"
-"""The kind of file that has the experts' actions, zeros after the end of an episode."""
+PURPOSE = 1  #: For `rollouts.episode_seeds`: other episodes than those of evaluations.
+ACTIONS = ".actions.xz"  #: The files with the experts' actions, zeros after an episode's end.
 BLOCK = 10
 """Number of episodes of each expert that are made side by side, however few are needed: matrix
 products of other shapes round differently, and a trajectory would depend on their number."""
@@ -120,7 +118,11 @@ def expert(env_id: str) -> Policy:
 
 
 def expert_file(env_id: str) -> Path:
-    """Return the file of the shipped experts; FileNotFoundError lists the tasks that have some."""
+    """Return the file of the shipped experts.
+
+    Raises:
+        FileNotFoundError: the task has none; lists the tasks that have some.
+    """
     path = EXPERTS / f"{short_name(env_id)}.safetensors"
     # A user's own task, such as `mine/PointMazeLeft-v0`, can have the same short name.
     if not path.is_file() or Policy.load(path).env_id != env_id:

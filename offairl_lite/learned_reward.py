@@ -31,13 +31,14 @@ BelowOne = Annotated[float, "in [0, 1)", lambda x: 0 <= x < 1]
 class LearnedReward(gymnasium.Wrapper, RecordConstructorArgs):
     """A task that pays a learned reward; its own is in `info["task_reward"]`.
 
-    It is a ValueError if the reward does not fit the task, or no member is chosen.
-
     Args:
         env: a task with as many observations as the one where the reward was learned.
         reward: a learned reward, its file, or the folder of a run.
         member: which of the reward's members pays; may be None if there is only one.
         discount: that of the trainer; a reward without an absorbing state has no use for it.
+
+    Raises:
+        ValueError: the reward does not fit the task, or no member is chosen.
     """
 
     def __init__(

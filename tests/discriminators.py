@@ -2,8 +2,6 @@
 
 import torch
 
-from offairl_lite.ablations.bottleneck import Bottleneck
-from offairl_lite.ablations.penalties import SpectralNorm
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import make_discriminator
@@ -12,6 +10,7 @@ from offairl_lite.core.policies import SquashedGaussian
 from offairl_lite.core.replay import Batch
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Layout
+from other_bounds import Bottleneck, SpectralNorm
 
 OBS, ACT, B = 3, 2, 4
 SMALL = {"reward_hidden": (6, 5), "shaping_hidden": (4,), "batch_size": B}

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offairl_lite.ablations import bottleneck, penalties, released
+import other_bounds
+from offairl_lite.ablations import released
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.config import (
     CORRECTED,
@@ -284,8 +285,8 @@ def test_presets_are_those_of_the_paper_and_its_code():
             (groups, kind)
             for kind in (Schedule, SACConfig, TD3Config, PPOConfig, DiscriminatorConfig)
         ),
-        (bottleneck, bottleneck.BottleneckConfig),
-        (penalties, penalties.OneSidedConfig),
+        (other_bounds, other_bounds.BottleneckConfig),
+        (other_bounds, other_bounds.OneSidedConfig),
         (released, released.ReleasedSACConfig),
     ],
 )

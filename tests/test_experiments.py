@@ -235,16 +235,6 @@ def test_entropy_is_counted_once_in_two_ways():
         assert learned.learner.temperature is None
 
 
-def test_penalties_differ_in_what_bounds_the_discriminator_and_in_nothing_else():
-    experiment = find("maze-penalties")
-    bounds = {"gradient_penalty", "ablation", "bottleneck", "bottleneck_size", "bottleneck_rate"}
-    imitation = find("maze-imitation").configs
-    for scale, config in experiment.configs.items():
-        assert differences(config, imitation[scale]) == {}
-        for changes in experiment.variants.values():
-            assert set(differences(config, config.change(**changes))) <= bounds
-
-
 def test_what_the_maze_adds_to_the_corrected_preset():
     added = differences(CORRECTED, find("maze-imitation").configs["full"])
     assert set(added) == {"temperature", "target_entropy", "random_hold"}

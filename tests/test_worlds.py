@@ -192,7 +192,7 @@ def test_bad_inputs_are_refused(tiny, pair, own, random_demonstrations):
     with pytest.raises(ValueError, match="'dac'; worlds share logit-sa"):
         worlds.train(tiny.change(reward="dac"), SEEDS, pair)
     with pytest.raises(ValueError, match="without an ablation"):
-        worlds.train(tiny.change(ablation="one-sided"), SEEDS, pair)
+        worlds.train(tiny.change(ablation="penalty-on-probability"), SEEDS, pair)
     with pytest.raises(ValueError, match="a pretrained policy go together"):
         worlds.train(tiny.change(pretrained="policy"), SEEDS, pair)
 

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from offairl_lite import demonstrations, experiments
+import other_bounds
+from offairl_lite import demonstrations
 from offairl_lite.analysis import epic
 from offairl_lite.config import Config
 from offairl_lite.core.loop import Run, Trainer
@@ -35,7 +36,7 @@ GRID = 41
 
 def record() -> dict[str, Any]:
     """Return for each bound what its five rewards are like."""
-    demo = experiments.find("maze-penalties").configs["demo"]
+    demo = other_bounds.configure("logit", "demo")
     expert = demonstrations.load(demo.env_id, trajectories=50)
     runs = {
         name: records.read(

@@ -1,3 +1,3 @@
-"""Other discriminators, and what the paper's released code does, each with settings of its own."""
+"""State-only DAC, and what the paper's released code does, each with settings of its own."""
 
-from offairl_lite.ablations import bottleneck, penalties, released, state_pairs  # noqa: F401
+from offairl_lite.ablations import released, state_pairs  # noqa: F401

@@ -5,14 +5,16 @@ from typing import Literal
 
 import torch
 
-from offairl_lite.ablations import penalties  # noqa: F401  (registers the released penalty)
-from offairl_lite.config import Config, SACConfig
+from offairl_lite.config import Config, DiscriminatorConfig, SACConfig
+from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions, make_discriminator
+from offairl_lite.core.networks import TINY
 from offairl_lite.core.policies import (
     MultiplicativeGaussian,
     SquashedGaussian,
     gaussian_log_density,
     make_actor,
 )
+from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
 Variant = Literal["exact", "released"]
@@ -75,6 +77,34 @@ def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> SquashedGauss
         kind = ReleasedDensityOfProduct if density else MultiplicativeGaussian
     return kind(**vars(exact))
 
+
+@dataclass(frozen=True)
+class OnProbabilityConfig(DiscriminatorConfig):
+    """The released penalty."""
+
+    kind = "penalty-on-probability"
+
+
+class OnProbability(Discriminator):
+    """The released penalty: ‖∇_s D‖; s, a, s' and log π have a mixing coefficient each."""
+
+    log_prob_in_penalty = True
+
+    def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
+        """Return ‖∇_s D‖ for D = σ(ℓ), which is D (1 - D) ‖∇_s ℓ‖."""
+        *shares, share = mixing.split(1, -1)
+        obs, action, next_obs = (
+            torch.lerp(p, e, c) for p, e, c in zip(policy[:3], expert[:3], shares, strict=True)
+        )
+        log_prob = torch.lerp(policy.log_prob, expert.log_prob, share.squeeze(-1))
+        between = Transitions(obs, action, next_obs, log_prob)
+        f, (by_obs, _, _) = self.f_and_gradients(between)
+        d = torch.sigmoid(log_odds(f, log_prob))
+        square = by_obs.square().sum(-1) * (d * (1 - d)).square()
+        return (square + TINY).sqrt()
+
+
+make_discriminator.register(OnProbabilityConfig, OnProbability)
 
 RELEASE = Config.of(
     learner="sac-released",

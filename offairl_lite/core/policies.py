@@ -253,7 +253,8 @@ class Policy(Population):
     def act(self, obs: AnyObs, noise: Action | None = None) -> Action:
         """Return actions in [-1, 1]: the mode, or a sample where `noise` is given.
 
-        `obs` is the task's own, (S, B, O) or (1, B, O); ValueError if it has another size.
+        Raises:
+            ValueError: `obs`, the task's own of shape (S, B, O) or (1, B, O), has another size.
         """
         self._require("obs", obs)
         obs = self.normaliser(fit(obs, self.actor.obs_dim, f"the policy of {self.env_id}"))

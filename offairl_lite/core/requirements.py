@@ -69,7 +69,11 @@ def require_match(
     reward: Reward | None,
     guide: Policy | None,
 ) -> tuple[int, int]:
-    """Return O and A as networks see them; ValueError says what does not fit the task."""
+    """Return O and A as networks see them.
+
+    Raises:
+        ValueError: something does not fit the task; says what.
+    """
     (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
     discriminator = config.discriminator
     sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None

@@ -58,7 +58,8 @@ class Run:
     def to_frame(self) -> Any:
         """Return a pandas DataFrame, a row for each seed and evaluation, a column for each number.
 
-        ImportError says that pandas is not installed.
+        Raises:
+            ImportError: pandas is not installed.
         """
         try:
             from pandas import DataFrame

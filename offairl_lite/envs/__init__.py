@@ -86,7 +86,10 @@ class OneHotActions(gymnasium.ActionWrapper, RecordConstructorArgs):
 def spec(env_id: str) -> EnvSpec:
     """Return the registered specification of a task; for `my_module:MyTask-v0`, import the module.
 
-    Raises ModuleNotFoundError, TaskError, or a ValueError that lists the tasks there are.
+    Raises:
+        ModuleNotFoundError: there is no such module.
+        TaskError: the module fails.
+        ValueError: there is no such task; lists those there are.
     """
     module, _, name = checked("env_id", env_id, str).rpartition(":")
     try:
@@ -138,9 +141,12 @@ def register(env: AnyTask, env_id: str | None = None) -> str:
 
 
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
-    """Return a task's spaces; ValueError unless both are boxes with one axis, or can be made so.
+    """Return a task's spaces, as boxes with one axis.
 
     Dictionaries of observations are flattened; actions must be floats with finite bounds.
+
+    Raises:
+        ValueError: they are none, and cannot be made so.
     """
     if isinstance(observation_space, Dict):
         observation_space = flatten_space(observation_space)

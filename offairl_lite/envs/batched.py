@@ -110,8 +110,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
     def step(self, actions: np.ndarray) -> Step:
         """Advance every member by one step; in mode NEXT_STEP, reset the finished members instead.
 
-        Their reward is then 0, terminated and truncated are False. ValueError if `actions` are not
-        finite; RuntimeError, in mode DISABLED, if a member is finished.
+        Their reward is then 0, terminated and truncated are False.
+
+        Raises:
+            ValueError: `actions` are not finite.
+            RuntimeError: in mode DISABLED, a member is finished.
         """
         actions, idle = checked_actions(actions, self), self._idle
         if self.metadata["autoreset_mode"] == AutoresetMode.DISABLED:
@@ -190,7 +193,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
 
 
 def checked_actions(actions: np.ndarray, env: gymnasium.vector.VectorEnv) -> np.ndarray:
-    """Return the actions of all members; ValueError unless they fit the space and are finite."""
+    """Return the actions of all members.
+
+    Raises:
+        ValueError: they do not fit the space, or are not finite.
+    """
     actions, shape = np.asarray(actions), env.action_space.shape
     if actions.shape != shape or actions.dtype.kind not in "fiu":
         actual = f"{actions.dtype} of shape {actions.shape}"

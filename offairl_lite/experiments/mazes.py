@@ -65,16 +65,6 @@ _ENTROPY_ONCE = crossed(
     },
 )
 
-# What keeps the discriminator from being too steep or too sure.
-_PENALTIES: Mapping[str, Changes] = {
-    "none": {"gradient_penalty": 0.0},
-    "logit": {},
-    "one-sided": {"ablation": "one-sided"},
-    "probability": {"ablation": "penalty-on-probability"},
-    "spectral": {"gradient_penalty": 0.0, "ablation": "spectral-norm"},
-    "bottleneck": {"gradient_penalty": 0.0, "ablation": "bottleneck", "bottleneck_rate": 1e-3},
-}
-
 # From scratch and with a policy, with help to explore and alone: on PointMazeRight and, `back`, on
 # PointMazeLeft, paid by a reward that is to be given; and on PointMazeRight by the task's own.
 _WORTH = crossed(
@@ -98,7 +88,6 @@ maze-airl-ppo: What came before off-policy AIRL: AIRL with PPO, with r(s) and r(
 maze-retraining: On PointMazeRight, paid by PointMazeLeft's reward: what of the policy to keep
 maze-airl-memory: AIRL with PPO and r(s), whose negatives are not of the last block alone: 2 runs
 maze-rewards: Implementations 1 to 4 and DAC's reward on PointMazeLeft; 1 and 2 with entropy once
-maze-penalties: Implementation 4 on PointMazeLeft with other bounds on the discriminator: 6 runs
 maze-transfer-rewards: What a reward is worth in the other maze: from scratch or a policy, or helped
 marsh-expert: SAC on the true reward of the marsh, which is best gone round: trains the experts
 marsh-imitation: Off-policy AIRL, Implementation 4, and DAC, from demonstrations of the marsh
@@ -132,7 +121,6 @@ EXPERIMENTS: Mapping[str, Experiment] = base.described(
         "maze-retraining": _paid(demo=_BACK, variants=_RETRAINING),
         "maze-airl-memory": _maze(_AIRL_PPO, demo=_ON_POLICY_DEMO, variants=_MEMORY),
         "maze-rewards": _maze(variants=base.REWARDS | _ENTROPY_ONCE),
-        "maze-penalties": _maze(variants=_PENALTIES),
         "maze-transfer-rewards": _paid(demo=_SHORT, variants=_WORTH),
         "marsh-expert": _maze(_MARSH_EXPERT, demo=_EXPERT_DEMO),
         "marsh-imitation": _maze({"env_id": MARSH}, variants=_MARSH_IMITATION),

@@ -86,8 +86,10 @@ def save(folder: Path, spec: RunSpec, trainer: Trainer, wall_s: float, blocks: l
 def load(folder: Path, spec: RunSpec) -> Found | None:
     """Return a run's checkpoint; None if there is none yet.
 
-    FileNotFoundError says that it is gone, ValueError that it or another file is damaged, or that
-    it is of another format or run, further than the run is to go, or cannot be played again.
+    Raises:
+        FileNotFoundError: it is gone.
+        ValueError: it or another file is damaged, of another format or run, further than the
+            run is to go, or cannot be played again.
     """
     path, step = folder / CHECKPOINT, records.read_state(folder)["step"]
     if not path.is_file():
@@ -203,7 +205,9 @@ def in_words(size: int) -> str:
 def copy(source: Path, target: Path) -> None:
     """Copy a run folder, whole or not at all; a run that is at `target` is replaced.
 
-    FileExistsError says that something else is there; OSError that the run is at work.
+    Raises:
+        FileExistsError: something else is there.
+        OSError: the run is at work.
     """
     RunSpec.read(source)
     source, target = source.resolve(), target.resolve()
@@ -227,7 +231,11 @@ def copy(source: Path, target: Path) -> None:
 
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
-    """Hold a run folder's lock, while the process lives; raise OSError if another one has it."""
+    """Hold a run folder's lock, while the process lives.
+
+    Raises:
+        OSError: another process has it.
+    """
     try:
         with FileLock(folder / "checkpoint" / "lock", timeout=0):
             yield

@@ -51,7 +51,10 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     """Return the rewards and policies of other runs that a configuration needs, by their names.
 
     Several `files`, or folders of runs, become one population; guides take turns if they are fewer
-    than the seeds. ValueError says that a file is needed and not given, or holds something else.
+    than the seeds.
+
+    Raises:
+        ValueError: a file is needed and not given, or holds something else.
     """
     loaded = {}
     for name, kind in needed(config, files).items():
@@ -125,9 +128,12 @@ def inherited(
 
 
 def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
-    """Return what a run was given of other runs, or raise ValueError if it is something else now.
+    """Return what a run was given of other runs.
 
     A record may lack the copies. They are then made again from the files that the run names.
+
+    Raises:
+        ValueError: it is something else now.
     """
     loaded = {}
     for name, kind in needed(spec.config, spec.inherited).items():
@@ -158,7 +164,8 @@ def demonstrations_of(
 ) -> Demonstrations | None:
     """Return the demonstrations that a run began with, loaded if they are not given.
 
-    ValueError says that they have changed since, or that there is nothing to load them from.
+    Raises:
+        ValueError: they have changed since, or there is nothing to load them from.
     """
     if (source := spec.demonstrations) is None:
         return None

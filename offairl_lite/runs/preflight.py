@@ -23,7 +23,9 @@ from offairl_lite.runs import inputs
 def try_out(env_id: str, seed: int) -> list[str]:
     """Return what a user should know of a task, after it was made and stepped.
 
-    ValueError says that an episode of random actions never ends; TaskError that the task fails.
+    Raises:
+        ValueError: an episode of random actions never ends.
+        TaskError: the task itself fails.
     """
     notes = []
     with closing(envs.make(env_id, 1, [seed])) as env:
@@ -58,7 +60,10 @@ def check(
 ) -> list[str]:
     """Return what a user should know of a run on `demos` and `networks` of other runs.
 
-    ValueError says what does not fit. The task is not made for that, if it was tried out.
+    The task is not made for that, if it was tried out.
+
+    Raises:
+        ValueError: something does not fit; says what.
     """
     seen, units = envs.spaces(config.env_id)
     scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))

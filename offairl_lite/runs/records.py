@@ -46,17 +46,14 @@ METRICS = (
     *("cross_entropy", "penalty", "expert_logit", "policy_logit", "accuracy", "critic_loss", "q"),
     *("temperature", "entropy", "excess", "multiplier"),
 )
-"""Diagnostics of the last update before an evaluation. New ones are added at the end, so that older
-curves can still be read."""
+"""Diagnostics of the update before an evaluation; new ones come last, for older curves' sake."""
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
-
+#: What `run.json` has as the state of a run that is not gone on with.
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
-"""What `run.json` has as the state of a run that is not gone on with."""
 PICTURE = "curve.png"
-
+#: Whose versions a record tells.
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
-"""Whose versions a record tells."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,11 @@ class RunSpec:
 
     @classmethod
     def read(cls, folder: str | PathLike) -> "RunSpec":
-        """Read `config.json`; raise ValueError if it is of another format, or damaged."""
+        """Read `config.json`.
+
+        Raises:
+            ValueError: it is of another format, or damaged.
+        """
         path = Path(folder) / "config.json"
         if path.parent.is_file():
             raise ValueError(
@@ -257,7 +258,11 @@ def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any]:
-    """Read `run.json`; raise ValueError if it is gone or damaged."""
+    """Read `run.json`.
+
+    Raises:
+        ValueError: it is gone or damaged.
+    """
     status = {"diverged": {}, **read_json(folder / "run.json")}
     try:
         _require_types(status, state=str, step=int, diverged=dict)
@@ -275,7 +280,11 @@ def _require_types(fields: dict[str, Any], **types: Any) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file; raise ValueError if it is damaged, or not as `write_json` left it."""
+    """Read a JSON file.
+
+    Raises:
+        ValueError: it is damaged, or not as `write_json` left it.
+    """
     try:
         content = json.loads(path.read_bytes())
         _require_types({"content": content}, content=dict)
@@ -330,7 +339,11 @@ def _sync(path: Path) -> None:
 
 
 def beginning(folder: Path) -> Path:
-    """Return what there is of a folder's path; NotADirectoryError says that it is a file."""
+    """Return what there is of a folder's path.
+
+    Raises:
+        NotADirectoryError: it is a file.
+    """
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
         raise NotADirectoryError(f"{existing} is no folder: choose another")

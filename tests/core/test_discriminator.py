@@ -20,7 +20,8 @@ from discriminators import (
     update,
 )
 
-from offairl_lite.ablations import bottleneck, penalties, state_pairs
+import other_bounds
+from offairl_lite.ablations import released, state_pairs
 from offairl_lite.config import CORRECTED
 from offairl_lite.core.discriminator import (
     LEARNING_RATE,
@@ -106,10 +107,10 @@ def test_where_f_is_flat_the_loss_has_a_slope_nevertheless(name):
     ("kind", "names"),
     [
         (Discriminator, ["r(s)", "r(s, a)", "dac", "r(s) of one number"]),
-        (penalties.OneSided, ["one-sided r(s)"]),
-        (penalties.OnProbability, ["released r(s)", "dac on probability"]),
-        (penalties.SpectralNorm, ["spectral r(s, a)"]),
-        (bottleneck.Bottleneck, ["bottleneck r(s)", "bottleneck dac"]),
+        (other_bounds.OneSided, ["one-sided r(s)"]),
+        (released.OnProbability, ["released r(s)", "dac on probability"]),
+        (other_bounds.SpectralNorm, ["spectral r(s, a)"]),
+        (other_bounds.Bottleneck, ["bottleneck r(s)", "bottleneck dac"]),
         (state_pairs.StatePairs, ["state pairs"]),
     ],
 )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import other_bounds  # noqa: F401  (registers the bottleneck)
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.core import sac
 from offairl_lite.core.acceleration import Execution

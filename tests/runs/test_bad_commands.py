@@ -105,8 +105,8 @@ ROWS = [
     ("run maze-expert --absorbing bootstrap", "--absorbing bootstrap", "set --absorbing none"),
     ("run maze-imitation --no-log-prob-in-reward", "--no-log-prob-in-reward", "it is for"),
     ("run maze-expert --loss exact", "loss has no use", "leave it out"),
-    ("run maze-expert --ablation one-sided", "one-sided", "leave it out"),
-    ("run maze-imitation --bottleneck 0.1", "bottleneck has no use", "leave it out"),
+    ("run maze-expert --ablation state-pairs", "state-pairs", "leave it out"),
+    ("run maze-imitation --composition exact", "composition has no use", "leave it out"),
     ("run maze-expert --fixed-primitives", "--fixed-primitives", "set primitives"),
     ("run maze-expert --pretrained primitives", "--pretrained primitives", "set primitives"),
     (

@@ -388,8 +388,8 @@ def test_earlier_names_of_options_are_understood():
             "temperature has no use with --learner td3, --reward dac: leave it out",
         ),
         ("--reward environment --loss exact", "loss has no use with --learner sac, --reward env"),
-        ("--bottleneck 0.1", "bottleneck has no use with --learner sac, --rew"),
-        ("--reward environment --ablation one-sided", "ablation has no use with --learner sac"),
+        ("--composition exact", "composition has no use with --learner sac, --rew"),
+        ("--reward environment --ablation state-pairs", "ablation has no use with --learner sac"),
         ("--grid discount=2", "discount is 2; expected a number in [0, 1]"),
     ],
 )
@@ -429,7 +429,7 @@ def test_every_setting_is_an_option_with_its_default_and_what_it_is_for(capsys):
     assert "--temperature {None}|FLOAT α. None: learned from 0.2 on" in text
     assert "(default: 64 64)" in text.split("--hidden [INT [INT ...]]", 1)[1][:90]
     assert "--normalise, --no-normalise" in text
-    assert "(default, where it has a use: 0.5)" in text.split("--bottleneck FLOAT", 1)[1][:140]
+    assert "(default, where it has a use: released)" in text.split("--composition {", 1)[1][:160]
 
 
 def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
@@ -451,20 +451,16 @@ def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
     options = "--loss released --temperature None --hidden 8 8 --no-normalise --train-every 50"
     changed = {"loss": "log-ratio", "temperature": None, "hidden": (8, 8), "normalise": False}
     assert of(f"maze-imitation {options}") == {"": base.change(**changed, train_every=50)}
-    assert of("maze-imitation --ablation bottleneck --bottleneck 0.1") == {
-        "": base.change(ablation="bottleneck", bottleneck=0.1)
+    assert of("maze-imitation --learner sac-released --composition exact") == {
+        "": base.change(learner="sac-released", composition="exact")
     }
     assert of("maze-imitation --reward-sees 0 1") == {"": base.change(reward_sees=(0, 1))}
     # Of several runs, it changes those that have a use for it.
     runs = of("hopper-dac --temperature 0.5")
     assert runs["sac"].learner.temperature == 0.5
     assert "temperature" not in runs["td3"].flat()
-    assert (
-        of("maze-penalties --only bottleneck --bottleneck 0.1")[
-            "bottleneck"
-        ].discriminator.bottleneck
-        == 0.1
-    )
+    (config,) = of("maze-dac --only td3 --policy-delay 3").values()
+    assert config.learner.policy_delay == 3
 
 
 def test_an_unknown_scale_is_answered_in_one_line(capsys, monkeypatch):

@@ -53,7 +53,7 @@ def test_numbers_are_of_the_type_of_their_field():
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
-        ("heat=1", r"no setting 'heat' to vary; there are: reward, .*env-id, .*bottleneck"),
+        ("heat=1", r"no setting 'heat' to vary; there are: reward, .*env-id, .*reward-sees"),
         ("temperature=hot", "temperature is 'hot'; expected a number above 0, or None"),
         ("batch_size=1.5", "batch_size is 1.5; expected a whole number of at least 1"),
         ("normalise=1", "normalise is 1; expected True or False"),
@@ -65,7 +65,7 @@ def test_numbers_are_of_the_type_of_their_field():
             "reward=dac learner=td3 temperature=0.1",
             "^reward=dac,learner=td3,temperature=0.1: temperature has no use with learner='td3'",
         ),
-        ("ablation=none bottleneck=0.1", "bottleneck has no use with learner='sac'"),
+        ("ablation=none composition=exact", "composition has no use with learner='sac'"),
         ("discount=2", r"discount is 2; expected a number in \[0, 1\]"),
         ("temperature=1,1.0", "temperature=1.0 is in the grid twice"),
         ("temperature=", "temperature is ''; expected a number"),

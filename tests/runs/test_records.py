@@ -81,7 +81,7 @@ def test_a_record_comes_back_as_it_was(record, tiny):
     assert run.returns.tolist() == [[math.e, math.e]] * 2
 
 
-@pytest.mark.parametrize("ablation", [None, "bottleneck"])
+@pytest.mark.parametrize("ablation", [None, "penalty-on-probability"])
 def test_what_a_run_measures_has_a_column(tiny, random_demonstrations, ablation):
     config = tiny.change(ablation=ablation)
     run = train(config, SEEDS, random_demonstrations(tiny.env_id), progress=False)

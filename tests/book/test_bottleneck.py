@@ -7,10 +7,10 @@ import torch
 from discriminators import CONFIGS, B, apart, data, loss_of, make, minibatch, seen, update
 from torch.nn.functional import softplus
 
-from offairl_lite.ablations.bottleneck import Code, expected_cross_entropy, gauss_hermite
 from offairl_lite.core.discriminator import airl_loss, both_sides
 from offairl_lite.core.networks import StackedMLP
 from offairl_lite.core.rng import Rng
+from other_bounds import Code, expected_cross_entropy, gauss_hermite
 
 S, ROWS = 3, 5
 

@@ -1,18 +1,30 @@
 """Other penalties, and spectral normalisation; what all discriminators do is in `core`."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 from discriminators import CONFIGS, B, data, loss_of, make, minibatch, seen, update
 
-from offairl_lite.ablations.penalties import (
+from offairl_lite.config import differences
+from offairl_lite.core.networks import StackedMLP
+from offairl_lite.core.rng import Rng
+from offairl_lite.experiments import find
+from offairl_lite.runs import records
+from other_bounds import (
+    VARIANTS,
     OneSided,
+    SpectralNormConfig,
+    configure,
     init_vectors,
     power_iteration,
     spectrally_normalised,
 )
-from offairl_lite.core.networks import StackedMLP
-from offairl_lite.core.rng import Rng
 
+ROOT = Path(__file__).parents[2]
 S = 3
 
 
@@ -146,3 +158,26 @@ def test_spectral_normalisation_bounds_the_slopes_of_reward_and_shaping():
     assert steepest[0][2] <= 2.02
     assert steepest[1][0] > 1.5
     assert steepest[1][1] > 1.5
+
+
+# What the note trains.
+
+
+@pytest.mark.parametrize("scale", ["demo", "full"])
+def test_variants_differ_in_what_bounds_the_discriminator_and_in_nothing_else(scale):
+    bounds = {"gradient_penalty", "ablation", "bottleneck", "bottleneck_size", "bottleneck_rate"}
+    imitation = configure("logit", scale)
+    assert differences(imitation, find("maze-imitation").configs[scale]) == {}
+    for variant in VARIANTS:
+        assert set(differences(imitation, configure(variant, scale))) <= bounds
+
+
+def test_the_command_line_knows_the_bounds_in_every_process(tmp_path):
+    steps = "--total-steps 1100 --learning-starts 1000 --eval-every 1100 --eval-episodes 1"
+    choice = "--gradient-penalty 0 --ablation spectral-norm --seeds 0 1 --processes 2"
+    line = f"run maze-imitation {steps} {choice} --quiet --out {tmp_path / 'run'}"
+    command = [sys.executable, "-m", "other_bounds", *line.split()]
+    path = {"PYTHONPATH": os.pathsep.join([str(ROOT / "book"), str(ROOT)])}
+    subprocess.run(command, cwd=tmp_path, check=True, env=os.environ | path)
+    run = records.read(tmp_path / "run")
+    assert isinstance(run.config.discriminator, SpectralNormConfig)
