@@ -1,7 +1,7 @@
 """Other ways to keep a discriminator from being too steep or too sure.
 
-Only the note on penalties uses them. They train as everything does, on the
-command line as soon as this module is imported:
+Only the note on penalties uses them. This module is a command line that
+knows them, for one run at a time, in one process:
 
     PYTHONPATH=book python -m other_bounds run maze-imitation \\
         --gradient-penalty 0 --ablation spectral-norm
@@ -374,8 +374,6 @@ make_discriminator.register(BottleneckConfig, Bottleneck)
 
 
 if __name__ == "__main__":
-    # Under its own name, by which the processes of a run import it.
-    import other_bounds  # noqa: F401
     from offairl_lite.runs import cli
 
     cli.main()

@@ -459,8 +459,8 @@ def test_only_what_was_given_changes_an_experiment(elsewhere, monkeypatch):
     runs = of("hopper-dac --temperature 0.5")
     assert runs["sac"].learner.temperature == 0.5
     assert "temperature" not in runs["td3"].flat()
-    (config,) = of("maze-dac --only td3 --policy-delay 3").values()
-    assert config.learner.policy_delay == 3
+    (config,) = of("maze-dac --only td3 --hidden 8 8").values()
+    assert config.learner.hidden == (8, 8)
 
 
 def test_an_unknown_scale_is_answered_in_one_line(capsys, monkeypatch):
