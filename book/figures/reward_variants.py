@@ -116,7 +116,7 @@ def variants(NAMES, final, COLORS, correlation, shown):
         "DAC's logit",
     ]
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.3), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(5.4, 3.3), sharey=True)
         for i, name in enumerate(NAMES):
             _dots(axes[0], i, _score(final[name], shown), COLORS[name])
             _dots(axes[1], i, correlation[name], COLORS[name])
@@ -232,11 +232,11 @@ def crossed(WORDS, counted):
     def cell(*forms):
         "What is in the table."
         return "<br>".join(
-            f"<i>{WORDS[x]}</i>: {' + '.join(arrived[x])}" for x in forms
+            f"<i>{WORDS[x]}</i>: {', '.join(arrived[x])}" for x in forms
         )
 
     arrived = {
-        form: [count.split()[0] for count in counts]
+        form: [count.replace(" of ", "/") for count in counts]
         for form, counts in counted.items()
     }
     return table(
@@ -248,7 +248,7 @@ def crossed(WORDS, counted):
                 cell("-clipped", "-mixture") + " (a weaker loop)",
             ),
             (
-                "<b>no loop there</b>",
+                "<b>no loop</b>",
                 cell("-another's"),
                 cell("-soft", "-learned"),
             ),
@@ -259,7 +259,7 @@ def crossed(WORDS, counted):
 def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
     """Draw scores and values of the variants."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 4.2), sharey=True)
+        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.0), sharey=True)
         for row, form in enumerate(FORMS):
             for n, y in ((1, row - 0.2), (2, row + 0.2)):
                 name = f"implementation-{n}{form}"
@@ -274,7 +274,8 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
         axes[1].annotate("arrive", (1.02, 1.02), **place)
         _score_axis(axes[0])
         rows = range(len(FORMS))
-        axes[0].set(yticks=rows, yticklabels=[WORDS[x] for x in FORMS])
+        for ax in axes:
+            ax.set(yticks=rows, yticklabels=[WORDS[x] for x in FORMS])
         axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
         for n, y, name in ((1, -0.2, "$r(s, a)$"), (2, 0.2, "$r(s)$")):
             color = COLORS[f"implementation-{n}"]
@@ -314,7 +315,7 @@ def distances_to_truth(COLORS, labels, far, owner, means):
     tints = {name[-1]: tint for name, tint in COLORS.items()}
     tints |= {"released": plots.GREY, "DAC": COLORS["dac"]}
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.2, 3.2))
+        _fig, ax = plt.subplots(figsize=(5.2, 3.2))
         for i, name in enumerate(labels[1:], 1):
             _dots(ax, i, far[0, owner == i], tints[name])
             ax.plot(means[i, i], i, "D", mfc="none", mec="black", ms=7)
@@ -366,19 +367,21 @@ def transfers(HOME):
 
 def summary(compared, truth, arrived, titles):
     """Return the table of three rewards."""
+    score = {
+        name: np.median(_score(compared[name].returns[:, -1], -6.5))
+        for name in titles
+    }
     return table(
         (
             "reward",
-            "median<br>return",
+            "median<br>score",
             "median<br>EPIC distance",
             "wall moved:<br>arrive",
         ),
         [
             (
                 title,
-                f"{np.median(compared[name].returns[:, -1]):.1f}".replace(
-                    "-", "−"
-                ),
+                f"{score[name]:.0f}\u00a0%",
                 f"{truth[name]:.2f}",
                 f"{arrived[name]} of 10",
             )

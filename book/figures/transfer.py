@@ -154,24 +154,24 @@ def old_and_new(source, again, on_ppo, ppo):
 def frozen():
     """Draw how a frozen reward trains a new policy."""
     diagram(
-        (7.2, 3.5),
+        (4.6, 4.2),
         {
             "demos": (
                 1.0,
-                2.9,
+                3.7,
                 "demonstrations\nof the old maze",
                 plots.GREEN,
             ),
-            "airl": (3.6, 2.9, "off-policy\nAIRL", plots.RED),
+            "airl": (3.6, 3.7, "off-policy\nAIRL", plots.RED),
             "r": (
-                6.2,
-                2.9,
+                1.0,
+                2.1,
                 "reward " + r"$r_\psi(s)$" + "\nfrozen",
                 plots.RED,
             ),
-            "pi": (3.6, 1.6, "old policy " + r"$\pi$", plots.BLUE),
-            "help": (1.0, 0.6, "warm-up,\nguide"),
-            "sac": (6.2, 0.6, "SAC in the\nnew maze", plots.BLUE),
+            "pi": (3.6, 2.1, "old policy " + r"$\pi$", plots.BLUE),
+            "help": (3.6, 0.5, "warm-up,\nguide"),
+            "sac": (1.0, 0.5, "SAC in the\nnew maze", plots.BLUE),
         },
         [
             ("demos", "airl"),
@@ -201,7 +201,7 @@ def way_back(moved, shown, carried, there):
     """Draw the returns of new policies, and their paths."""
     with plots.style():
         fig, axes = plt.subplots(
-            1, 2, figsize=(6.6, 3.1), width_ratios=(5, 4)
+            2, 1, figsize=(4.6, 6.0), height_ratios=(4, 5)
         )
         plots.curve(axes[0], moved.steps / 1_000, moved.returns, "")
         plots.level(axes[0], shown, "demonstrations", plots.GREEN)
@@ -227,7 +227,7 @@ def way_back(moved, shown, carried, there):
 def warm_ups(fresh, held):
     """Draw the places that fresh and held actions lead to."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(5.6, 2.6))
+        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.6))
         for ax, found, title, color in (
             (axes[0], fresh, "fresh actions", plots.ORANGE),
             (axes[1], held, "held actions", plots.BLUE),
@@ -333,13 +333,13 @@ def starts_and_helps(counts):
 def when_a_gate(offered, arrived, gated):
     """Draw which seeds arrive, by the pushes that they can make."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(5.6, 2.9))
+        _fig, ax = plt.subplots(figsize=(4.8, 2.9))
         order = offered.argsort()
         for i, succeeds in enumerate(arrived.values()):
             for place, there_it_is in enumerate(succeeds[order]):
                 color = plots.BLUE if there_it_is else plots.GREY
                 fill = color if there_it_is else "w"
-                ax.plot(place, i, "s", color=color, mfc=fill, ms=11)
+                ax.plot(place, i, "s", color=color, mfc=fill, ms=10)
         ax.axvline(
             (offered < 0.9).sum() - 0.5, color=plots.GREY, lw=1, ls="--"
         )
@@ -434,7 +434,7 @@ def rewards_in_the_new_maze(side, values, rewards, x, SEES, spots, asked):
     """Draw four learned rewards, and the actions that they prefer."""
     DRAWN = ("exact logit", "DAC", "PPO, r(s)", "PPO, r(s, a)")
     with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(6.6, 5.6))
+        fig, axes = plt.subplots(2, 2, figsize=(4.8, 5.4))
         half = (side[1] - side[0]) / 2  # a pixel lies around its place
         extent = (side[0] - half, side[-1] + half) * 2
         for ax, name in zip(axes.flat, DRAWN, strict=True):
@@ -454,6 +454,7 @@ def rewards_in_the_new_maze(side, values, rewards, x, SEES, spots, asked):
                 looks |= {"headaxislength": 4, "minlength": 0}
                 way = {"zorder": 4, "width": 0.012, "scale": 14}
                 ax.quiver(*spots.T, *asked[name][0].T, **looks, **way)
-        bar = fig.colorbar(image, ax=axes, shrink=0.6, ticks=[0, 1])
-        bar.ax.set_yticklabels(["lowest\nreward", "highest\nreward"])
+        below = {"location": "bottom", "shrink": 0.6, "aspect": 30}
+        bar = fig.colorbar(image, ax=axes, ticks=[0, 1], **below)
+        bar.ax.set_xticklabels(["lowest reward", "highest"])
         plt.show()

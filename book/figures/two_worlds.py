@@ -197,11 +197,11 @@ def third(
             2, 1, figsize=(5.4, 4.9), height_ratios=(6, 4)
         )
     rows = {
-        "r(s, a), none": "r(s, a) of one maze",
-        "r(s, a), turned": "two, controls turned",
-        "r(s, a), weak": "two, weak motors",
-        "r(s), none": "r(s) of one maze",
-        "r(s), turned": "two, controls turned",
+        "r(s, a), none": "r(s, a), one maze",
+        "r(s, a), turned": "and controls turned",
+        "r(s, a), weak": "and weak motors",
+        "r(s), none": "r(s), one maze",
+        "r(s), turned": "and controls turned",
     }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
@@ -212,13 +212,14 @@ def third(
     _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
     names = [*rows.values(), "true reward"]
     _name_strips(axes[0], names, "return in the third maze")
+    axes[0].set_xticks((-25, -20, -15, -10))
     axes[0].legend(
         handletextpad=0.1, loc="center", bbox_to_anchor=(0.5, 0.36)
     )
     ants = {
         "one body": "able",
         "two bodies": "both",
-        "velocity": "velocity, able",
+        "velocity alone": "velocity, able",
         "true reward": "true",
     }
     colors = plots.ORANGE, plots.BLUE, plots.ORANGE, plots.GREY
