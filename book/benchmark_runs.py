@@ -198,7 +198,10 @@ def planned() -> set[tuple[str, str, str]]:
 def filled(cells: Cells) -> str:
     """Say how many cells there are, of how many."""
     wanted, there = planned(), set(cells)
-    text = f"{len(wanted & there)} of {len(wanted)} cells are filled."
+    text = (
+        f"{len(wanted & there)} of {len(wanted)} cells of the tables below "
+        "are filled."
+    )
     if wanted - there:
         text += " The rest have not been run yet."
     lost = sum(cell.diverged for cell in cells.values())
