@@ -198,7 +198,10 @@ def planned() -> set[tuple[str, str, str]]:
 def filled(cells: Cells) -> str:
     """Say how many cells there are, of how many."""
     wanted, there = planned(), set(cells)
-    text = f"{len(wanted & there)} of {len(wanted)} cells are filled."
+    text = (
+        f"{len(wanted & there)} of {len(wanted)} cells of the tables below "
+        "are filled."
+    )
     if wanted - there:
         text += " The rest have not been run yet."
     lost = sum(cell.diverged for cell in cells.values())
@@ -265,7 +268,7 @@ def separated(cells: Cells) -> list[str]:
             )
         if parts:
             sentences.append(f"{name}: {'; '.join(parts)}.")
-    return sentences or ["Not known yet: not all of these runs are there."]
+    return sentences
 
 
 def noise(robots: Iterable[str] = ROBOTS) -> HTML:
@@ -685,19 +688,27 @@ COLORS = {
 def draw(cells: Cells) -> Figure:
     """Draw four demonstrations, a panel for each robot, and clones of more.
 
-    The last panel has clones by the number of demonstrations.
+    The last panel has clones by the number of demonstrations. A method
+    without a record has no row.
     """
-    fig, axes = plt.subplots(3, 2, figsize=(5.6, 7.2))
+    pairs = ROBOTS[:2], ROBOTS[2:4], ROBOTS[4:]
     methods = [
-        method
-        for method in METHODS
-        if any(("4", robot, method) in cells for robot in ROBOTS)
+        [m for m in METHODS if any(("4", r, m) in cells for r in robots)]
+        for robots in pairs
     ]
-    for ax, robot in zip(axes.flat, ROBOTS, strict=False):
-        _panel(ax, cells, robot, methods)
-    for ax in axes[:, 0]:
-        names = [METHODS[method] for method in methods]
-        ax.set_yticklabels([x.replace(" from", "\nfrom") for x in names])
+    fig, axes = plt.subplots(
+        len(pairs),
+        2,
+        figsize=(5.6, 2.2 + 0.28 * sum(map(len, methods))),
+        height_ratios=[max(len(shown), 5) for shown in methods],
+    )
+    for row, robots, shown in zip(axes, pairs, methods, strict=True):
+        for ax, robot in zip(row, robots, strict=False):
+            _panel(ax, cells, robot, shown)
+        names = [METHODS[method] for method in shown]
+        row[0].set_yticklabels(
+            [x.replace(" from", "\nfrom") for x in names]
+        )
     for ax in (axes[1, 1], axes[2, 0]):
         ax.set_xlabel("% of the expert")
     _clones(axes[-1, -1], cells)
@@ -737,7 +748,8 @@ def _clones(ax: Axes, cells: Cells) -> None:
         ]
         ax.plot(means, marker=marker, ms=4, lw=1.2, label=robot)
     ax.axhline(100, color=plots.GREY, linestyle="--", linewidth=1)
-    ax.set(title="clones", xlim=(-0.2, 4.6), ylim=(-8, 118))
+    ax.set(title="clones", xlim=(-0.2, 6.4), ylim=(-8, 118))
     ax.set_xticks(range(len(COUNTS)), COUNTS)
     ax.set_xlabel("demonstrations", x=0.25)
-    ax.legend(fontsize="small", loc="center right", frameon=False)
+    look = {"fontsize": "small", "handlelength": 1.2, "labelspacing": 0.3}
+    ax.legend(loc="center right", frameon=False, **look)

@@ -8,7 +8,6 @@ from IPython.display import HTML
 import drawing
 import plots
 from offairl_lite.analysis.statistics import difference, success_rate
-from paper_claims import CLAIMS
 from paper_verdicts import (
     CONFIRMED,
     CONFOUNDED,
@@ -60,6 +59,19 @@ MARKS = {
 }
 
 
+NAMES = {
+    1: "The best reward",
+    2: "Beats DAC",
+    3: "The ant",
+    4: "The wall",
+    5: "Primitives on robots",
+    6: "The gate",
+    7: "Eight primitives",
+    8: "Random starts",
+}
+"""What the chapter calls the paper's claims."""
+
+
 def _listed(names):
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
@@ -93,32 +105,32 @@ def evidence(arrived, FOUND, recipe, step, larger):
     """Return what speaks for each claim, or against it."""
     (eight, sac), (guided, alone) = arrived(7), arrived(8, 2)
     gate, gate_alone = arrived(8, 4)
+    four, gate_of_eight = (c.scale.split("× ")[1] for c in FOUND[6])
     EVIDENCE = {
-        4: f"{arrived(4)[0]} of {SEEDS} old policies arrive after 100,000 "
-        "steps; the others stay in the trap.",
-        6: "At a fixed temperature none of ten gates arrives: neither over "
-        "four primitives, within {} steps, nor over eight, within {}. "
-        "".format(*(c.scale.split("× ")[1] for c in FOUND[6]))
-        + "Nor does any at a learned temperature. (Over four primitives "
-        "that temperature grew without bound in half of the seeds.)",
+        4: f"{arrived(4)[0]} of {SEEDS} old policies find the new way "
+        "within 100,000 steps. The others stay in the trap.",
+        6: "After a short warm-up none of ten gates arrives: neither over "
+        f"four primitives, within {four} steps, nor over eight, within "
+        f"{gate_of_eight}.",
         7: "Ten seeds cannot test a variance. So we ask whether more "
-        f"arrive: {eight} of {SEEDS}, and {sac} with SAC, after 40,000 "
-        "steps. That may be luck.",
+        f"arrive: {eight} of {SEEDS} with eight primitives, and {sac} with "
+        "SAC. That may be luck.",
         8: "If an expert of the new maze takes the first steps, "
         f"{guided} of {SEEDS} arrive with primitives instead of {alone}, "
         f"and with a gate of eight alone {gate} instead of {gate_alone}. "
         "With SAC {} instead of {}: perhaps luck.".format(*arrived(8)),
-        1: "So far, on CustomAnt with the AIRL loss: 4 is better than 1 "
-        "and 2, and not clearly better than 3. But no ant walks. With "
-        "the recipe 3 and 4, r(s,a) and r(s), make it walk; the logit, "
-        "1 and 2, does not.",
-        2: f"So far, with the recipe, small networks and {step:,} steps: "
-        f"{recipe}. With paper-size networks and three seeds: {larger}.",
-        3: "So far no seed walks on a reward of the whole state, used as "
-        "in the paper, nor with the recipe. On a reward of the velocity "
-        "all five walk.",
-        5: "So far, with the recipe: no clear difference on HalfCheetah, "
-        "nor on Ant.",
+        1: "With the AIRL loss <code>r(s)</code> is better than both "
+        "logits on CustomAnt, and not clearly better than "
+        "<code>r(s,a)</code>. But no ant walks. With the recipe "
+        "<code>r(s)</code> and <code>r(s,a)</code> make it walk, the "
+        "logits do not.",
+        2: f"With the recipe and {step:,} steps: {recipe}. "
+        f"With paper-size networks and three seeds: {larger}.",
+        3: "No seed walks on a reward of the whole state, used as in the "
+        "paper, nor with the recipe. On a reward of the velocity all five "
+        "walk.",
+        5: "With the recipe: no clear difference on HalfCheetah, nor on "
+        "Ant.",
     }
     return EVIDENCE
 
@@ -130,17 +142,17 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
         word = VERDICTS[n]
         color, sign = MARKS[word]
         mark = f'<b style="color: {color}">{sign}</b>'
-        verdict = f'<td style="white-space: nowrap">{mark} {word}</td>'
-        text = f"<b>{n}. {CLAIMS[n].text}</b><br>{EVIDENCE[n]}"
-        return f"<tr>{verdict}<td>{text}</td></tr>"
+        verdict = f'<span style="white-space: nowrap">{mark} {word}</span>'
+        name = f"<b>{NAMES[n]}</b> (claim {n}): {verdict}"
+        return f"<tr><td>{name}<br>{EVIDENCE[n]}</td></tr>"
 
     def heading(text):
-        return f'<tr><th colspan="2">{text}</th></tr>'
+        return f"<tr><th>{text}</th></tr>"
 
     parts = [
         heading("On the maze: paper-size networks, ten seeds"),
         *map(row, MAZES),
-        heading("On robots: short runs, three to five seeds"),
+        heading("On robots, so far: short runs, three to five seeds"),
         *map(row, ON_ROBOTS),
     ]
     return HTML(f'<table class="table">{"".join(parts)}</table>')
@@ -262,55 +274,45 @@ def _decides(gains):
     return any(low > 0 and middle > 50 for middle, low, _ in gains.values())
 
 
-def what_choices_add(at_the_end, CHOICES, GAINS):
-    """Draw what each choice adds: a panel a robot, a row a choice."""
-    groups = {
-        "Clearly more than half of the return, on some robot": [
-            choice for choice, gains in GAINS.items() if _decides(gains)
-        ],
-        "At most half, or it may be chance": [
-            choice for choice, gains in GAINS.items() if not _decides(gains)
-        ],
-    }
+def what_choices_add(at_the_end, CHOICES, GAINS, *, deciding):
+    """Draw what choices add, those that decide or the rest.
+
+    There is a panel for each robot and a row for each choice.
+    """
+    shown = [c for c in GAINS if _decides(GAINS[c]) == deciding]
     steps = {
-        choice: [*{at_the_end(pair)[0]: 0 for pair in pairs.values()}]
-        for choice, pairs in CHOICES.items()
+        choice: [*{at_the_end(p)[0]: 0 for p in CHOICES[choice].values()}]
+        for choice in shown
     }
     robots = [robot for robot in LOOKS if robot != "DisabledAnt"]
     zero = {"color": plots.GREY, "linewidth": 0.8, "zorder": 1}
     with plots.style():
         fig, axes = plt.subplots(
-            1, len(robots), figsize=(5.4, 8.4), sharey=True
+            1,
+            len(robots),
+            figsize=(5.4, 0.75 + 0.6 * len(shown)),
+            sharey=True,
         )
         for ax, robot in zip(axes, robots, strict=True):
             ax.set_title(robot, color=LOOKS[robot][0])
-            ax.set(xlim=(-50, 165), xticks=[0, 100], yticks=[])
+            ax.set(xlim=(-50, 245), xticks=[0, 100], yticks=[])
             ax.tick_params(length=0)
             ax.grid(visible=False)
             ax.spines[:].set_visible(False)
             ax.patch.set_visible(False)
-        y = 0.0
-        for group, members in groups.items():
-            _line(axes[0], y, group, weight="bold")
-            y += 0.75
-            for choice in members:
-                _line(axes[0], y, choice.replace("\n", " "))
-                if steps[choice] != [100_000]:
-                    text = " / ".join(
-                        f"{k // 1000}k" for k in steps[choice]
-                    )
-                    _line(
-                        axes[-1], y, text, 1, ha="right", color=plots.GREY
-                    )
-                for robot, gain in GAINS[choice].items():
-                    ax = axes[min([*LOOKS].index(robot), len(robots) - 1)]
-                    strip = y + 0.28, y + 0.82
-                    ax.axhspan(*strip, color="#f2f2f2", zorder=0)
-                    ax.plot([0, 0], strip, "-", **zero)
-                    _gain(ax, y + 0.55, robot, gain)
-                y += 1.15
-            y += 0.35
-        axes[0].set_ylim(y - 0.3, -0.4)
+        for row, choice in enumerate(shown):
+            y = 1.15 * row
+            _line(axes[0], y, choice.replace("\n", " "))
+            if steps[choice] != [100_000]:
+                text = " / ".join(f"{k // 1000}k" for k in steps[choice])
+                _line(axes[-1], y, text, 1, ha="right", color=plots.GREY)
+            for robot, gain in GAINS[choice].items():
+                ax = axes[min([*LOOKS].index(robot), len(robots) - 1)]
+                strip = y + 0.28, y + 0.82
+                ax.axhspan(*strip, color="#f2f2f2", zorder=0)
+                ax.plot([0, 0], strip, "-", **zero)
+                _gain(ax, y + 0.55, robot, gain)
+        axes[0].set_ylim(y + 0.9, -0.4)
         text = "what it adds, % of the demonstrations' return"
         fig.supxlabel(text, fontsize=10)
         plt.show()
@@ -331,10 +333,16 @@ def _line(ax, y, text, at=0, color="black", **look):
 
 
 def _gain(ax, y, robot, gain):
-    """Draw a difference with its interval; hollow if it may be nothing."""
+    """Draw a difference with its interval; hollow if it may be nothing.
+
+    Its number stands at the right end of the strip.
+    """
     middle, low, high = gain
     color, marker = LOOKS[robot]
     clear = low > 0 or high < 0
+    text = f"{round(middle) + 0:+}".replace("-", "−").replace("+0", "0")
+    ink = color if clear else plots.GREY
+    ax.text(240, y, text, color=ink, fontsize=9, ha="right", va="center")
     ax.plot([low, high], [y, y], color=color, alpha=0.5 if clear else 0.3)
     fill = {"ms": 7, "mec": "white"} if clear else {"ms": 6, "mfc": "white"}
     ax.plot(middle, y, marker, color=color, mew=1.2, zorder=3, **fill)
@@ -399,7 +407,7 @@ def open_questions(FOUND, extra, open_claims):
         ("open claim", "what would settle it"),
         [
             (
-                f"{n}. {CLAIMS[n].text}",
+                NAMES[n],
                 needed(n, FOUND[n]) + extra.get(n, ""),
             )
             for n in open_claims
