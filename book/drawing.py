@@ -16,8 +16,8 @@ import plots
 def outline(width: float) -> list[patheffects.AbstractPathEffect]:
     """Return what makes a line of this width visible on any map."""
     return [
-        patheffects.Stroke(linewidth=width + 2.6, foreground="white"),
-        patheffects.Stroke(linewidth=width + 1.1, foreground=plots.INK),
+        patheffects.Stroke(linewidth=width + 2.4, foreground="white"),
+        patheffects.Stroke(linewidth=width + 0.6, foreground=plots.INK),
         patheffects.Normal(),
     ]
 

@@ -72,14 +72,17 @@ def curve(
     ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
     ax.plot(steps, returns.T, color=color, alpha=0.35, linewidth=0.7)
     mean = interquartile_mean(returns)
-    rim = [withStroke(linewidth=3.2, foreground=INK)]  # yellow on white
+    rim = {
+        "linewidth": 2.4,
+        "path_effects": [withStroke(linewidth=3.2, foreground=INK)],
+    }  # or yellow could not be seen on white
     ax.plot(
         steps,
         mean,
         color=color,
         linestyle=linestyle,
         label=label,
-        path_effects=rim if color == AGENT else None,
+        **(rim if color == AGENT else {}),
     )
 
 

@@ -35,7 +35,7 @@ with plots.style():
         ax.axis("off")
         ax.set_title(title)
         for path in walk(policy, RIGHT):
-            (line,) = ax.plot(*path.T, color=color, lw=2.2, zorder=4)
+            (line,) = ax.plot(*path.T, color=color, lw=2.6, zorder=4)
             line.set_path_effects(EDGE)
             ax.plot(
                 *path[-1], "o", color=color, ms=8, mec="white", zorder=5

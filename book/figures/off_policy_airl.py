@@ -36,8 +36,8 @@ def _reward_map(ax, side, airl, scale):
 
 def _draw_paths(ax, paths, color):
     for path in paths:
-        edge = {"path_effects": outline(2), "zorder": 4}
-        ax.plot(*path.T, color=color, lw=2, **edge)
+        edge = {"path_effects": outline(2.8), "zorder": 4}
+        ax.plot(*path.T, color=color, lw=2.8, **edge)
 
 
 def _levels(ax, demonstrated):

@@ -18,7 +18,7 @@ LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 TWO_KINDS = "maze-transfer-rewards-demo/released-and-airl"
 
 
-EDGE = outline(2.2)
+EDGE = outline(2.6)
 
 
 def walk(policy, task):
@@ -135,7 +135,7 @@ def old_and_new(source, again, on_ppo, ppo):
             ax.axis("off")
             ax.set_title(title, fontsize=12)
             for path in walk(policy, RIGHT):
-                (line,) = ax.plot([], [], color=color, lw=2.2, zorder=4)
+                (line,) = ax.plot([], [], color=color, lw=2.6, zorder=4)
                 line.set_path_effects(EDGE)
                 (dot,) = ax.plot([], [], "o", color=color, ms=9, zorder=5)
                 dot.set(markeredgecolor="white", markeredgewidth=1.5)
@@ -216,7 +216,7 @@ def way_back(moved, shown, carried, there):
             axes[1].plot(
                 *path.T,
                 color=plots.AGENT,
-                lw=2,
+                lw=2.6,
                 path_effects=EDGE,
                 zorder=4,
             )

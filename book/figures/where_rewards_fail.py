@@ -14,7 +14,7 @@ from offairl_lite.runs import records
 
 RECORDS = Path("records")
 
-EDGE = outline(2)
+EDGE = outline(2.4)
 
 
 FIRST, KNOWN = "marsh-{}-demo", "decides-marsh-demo"
@@ -100,7 +100,9 @@ def _draw_marsh(ax, value, title):
 
 
 def _draw_path(ax, path, color):
-    ax.plot(*path[:, :2].T, color=color, lw=2, path_effects=EDGE, zorder=4)
+    ax.plot(
+        *path[:, :2].T, color=color, lw=2.4, path_effects=EDGE, zorder=4
+    )
 
 
 def routes(marsh, last, expert, wet, arrived):
