@@ -10,13 +10,20 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offairl_lite.analysis import plots
+import plots
 
-EDGE = [
-    patheffects.Stroke(linewidth=5, foreground="white"),
-    patheffects.Normal(),
-]
-"""A line with it can be seen on any map."""
+
+def outline(width: float) -> list[patheffects.AbstractPathEffect]:
+    """Return what makes a line of this width visible on any map."""
+    return [
+        patheffects.Stroke(linewidth=width + 2.4, foreground="white"),
+        patheffects.Stroke(linewidth=width + 0.6, foreground=plots.INK),
+        patheffects.Normal(),
+    ]
+
+
+EDGE = outline(2.5)
+"""A line with it, 2.5 points wide, can be seen on any map."""
 
 
 def bare(axes: Axes | Sequence[Axes]) -> None:

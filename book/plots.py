@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 from matplotlib.quiver import Quiver
@@ -36,6 +37,24 @@ from offairl_lite.envs.models import (
 )
 from offairl_lite.tabular import MOVES
 
+EXPERT = "#5a1fd6"
+"""Of experts and their demonstrations: violet, in figures and toys."""
+COPY = "#2f7fd0"
+"""Of a policy that imitates, and of the old one in a new world: blue."""
+AGENT = "#ffc21a"
+"""Of an agent that plans or trains on the learned reward: yellow."""
+REWARD = "#009e73"
+"""Of a reward that was learned: green."""
+STAR = "#ff4d9d"
+"""Of the goal: pink."""
+INK = "#25213f"
+"""Of the thin rim that sets them off."""
+REWARD_MAP = LinearSegmentedColormap.from_list(
+    "reward",
+    ["#262340", "#22454f", "#1c6f6b", "#1d9c82", "#45cf9d", "#b6ffd9"],
+)
+"""Of maps of a reward or a value: green is high."""
+
 
 def curve(
     ax: Axes,
@@ -53,7 +72,18 @@ def curve(
     ax.fill_between(steps, low, high, color=color, alpha=0.2, linewidth=0)
     ax.plot(steps, returns.T, color=color, alpha=0.35, linewidth=0.7)
     mean = interquartile_mean(returns)
-    ax.plot(steps, mean, color=color, linestyle=linestyle, label=label)
+    rim = {
+        "linewidth": 2.4,
+        "path_effects": [withStroke(linewidth=3.2, foreground=INK)],
+    }  # or yellow could not be seen on white
+    ax.plot(
+        steps,
+        mean,
+        color=color,
+        linestyle=linestyle,
+        label=label,
+        **(rim if color == AGENT else {}),
+    )
 
 
 def level(
@@ -114,7 +144,7 @@ def maze(ax: Axes, side: Side | None) -> None:
     ax.plot(
         *GOAL,
         "*",
-        color=GREEN,
+        color=STAR,
         markeredgecolor="black",
         markersize=13,
         zorder=3,
@@ -162,7 +192,7 @@ def _image(
     """Draw values, from `low` to `high` along x and y, under the maze."""
     extent = (low, high, low, high)
     image = ax.imshow(
-        values, origin="lower", extent=extent, cmap="cividis", zorder=1
+        values, origin="lower", extent=extent, cmap=REWARD_MAP, zorder=1
     )
     maze(ax, side)
     return image

@@ -1,6 +1,6 @@
 """Draw the README's moving picture, from the runs of `recipe_example`.
 
-.venv/bin/python book/_static/cart.py RUNS
+PYTHONPATH=book .venv/bin/python book/_static/cart.py RUNS
 
 with `my_robot.py` in the working directory. RUNS/cart is the imitation, and
 RUNS/swapped the retraining on its reward.
@@ -12,14 +12,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+import plots
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.runs import records
 
 SIZE, SCALE, RAIL = (640, 260), 2, 3.0
-INK, GROUND, BLUE, YELLOW = "#22303c", "#ffffff", "#2f7fd0", "#f0a202"
+INK, GROUND = "#22303c", "#ffffff"
 ROWS = {
-    "cart": ("copies what the expert did", BLUE),
-    "swapped": ("learned what the expert wanted", YELLOW),
+    "cart": ("copies what the expert did", plots.COPY),
+    "swapped": ("learned what the expert wanted", plots.AGENT),
 }
 
 

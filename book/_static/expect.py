@@ -2,7 +2,7 @@
 
 The runs are those of the table of `recipe_settings.md`.
 
-.venv/bin/python book/_static/expect.py
+PYTHONPATH=book .venv/bin/python book/_static/expect.py
 """
 
 from pathlib import Path
@@ -10,8 +10,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+import plots
 from offairl_lite import demonstrations
-from offairl_lite.analysis import plots
 from offairl_lite.runs import records
 
 BOOK = Path(__file__).parents[1]
@@ -48,7 +48,7 @@ with plots.style():
                 spread = row + y + np.linspace(-0.1, 0.1, len(found))
                 ax.plot(found, spread, "o", color=color, alpha=0.6, ms=5)
                 ax.plot(np.median(found), row + y, "|k", ms=13, mew=2)
-        ax.axvline(100, color=plots.GREEN, ls="--", lw=1.2, zorder=0)
+        ax.axvline(100, color=plots.EXPERT, ls="--", lw=1.2, zorder=0)
         ax.set(title=f"{steps:,} steps", xlim=(-5, 172))
         ax.set(xticks=(0, 50, 100, 150), xlabel="% of the expert")
     axes[0].set(yticks=range(5), yticklabels=ROBOTS, ylim=(4.6, -0.6))

@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import plots
+from drawing import EDGE
 from offairl_lite import demonstrations, experiments
 from offairl_lite.core.loop import train
 from offairl_lite.core.rollouts import rollout
@@ -33,12 +34,11 @@ print("returns:", transfer.returns[:, -1].round(1))
 with plots.style():
     fig, axes = plt.subplots(1, 3, figsize=(9, 3.3), sharey=True)
     plots.maze(axes[0], "Left")
-    axes[0].plot(*shown[..., :2].T, color=plots.BLUE, alpha=0.7, lw=1)
+    axes[0].plot(*shown[..., :2].T, color=plots.EXPERT, alpha=0.7, lw=1)
     plots.reward_map(axes[1], reward, "Left", best)
     plots.reward_map(axes[2], reward, "Right", best)
     path = moved[0, :, :2].T
-    axes[2].plot(*path, color="white", linewidth=4)
-    axes[2].plot(*path, color=plots.ORANGE, linewidth=2)
+    axes[2].plot(*path, color=plots.AGENT, lw=2.5, path_effects=EDGE)
     titles = (
         "demonstrations",
         "the reward learned from them",

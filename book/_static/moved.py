@@ -28,14 +28,14 @@ with plots.style():
         axes,
         ("the old policies", "new policies, old reward"),
         (source.policy, again.policy),
-        (plots.RED, plots.GREEN),
+        (plots.COPY, plots.AGENT),
         strict=True,
     ):
         plots.reward_map(ax, source.reward, "Right", 0)
         ax.axis("off")
-        ax.set_title(title, color=color)
+        ax.set_title(title)
         for path in walk(policy, RIGHT):
-            (line,) = ax.plot(*path.T, color=color, lw=2.2, zorder=4)
+            (line,) = ax.plot(*path.T, color=color, lw=2.6, zorder=4)
             line.set_path_effects(EDGE)
             ax.plot(
                 *path[-1], "o", color=color, ms=8, mec="white", zorder=5

@@ -3,7 +3,7 @@
 The runs are those of the note *What decides*, and one without an absorbing
 state: all seeds, after 100,000 steps.
 
-.venv/bin/python book/_static/settings.py
+PYTHONPATH=book .venv/bin/python book/_static/settings.py
 """
 
 from pathlib import Path
@@ -11,8 +11,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+import plots
 from offairl_lite import demonstrations
-from offairl_lite.analysis import plots
 from offairl_lite.runs import records
 
 BOOK = Path(__file__).parents[1]
@@ -55,7 +55,7 @@ with plots.style():
             ):
                 at = np.full(len(found), row + y)
                 ax.plot(found, at, "o", color=color, alpha=0.7, ms=5.5)
-        ax.axvline(100, color=plots.GREEN, ls="--", lw=1.2, zorder=0)
+        ax.axvline(100, color=plots.EXPERT, ls="--", lw=1.2, zorder=0)
         ax.set_title(title, color=plots.RED)
         ax.set(xlim=(-8, 112), xticks=(0, 50, 100))
         ax.set(yticks=range(4), yticklabels=ROBOTS, ylim=(3.6, -0.6))

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
+import plots
 from drawing import diagram
-from offairl_lite.analysis import plots
 
 plt.rcParams.update({"svg.hashsalt": "words", "font.size": 12})
 fig, ax = diagram(
     (6.4, 4.0),
     {
-        "expert": (0.6, 3.5, "expert", plots.GREEN),
-        "demos": (2.4, 3.5, "demonstrations", plots.GREEN),
-        "judge": (5.3, 2.85, "discriminator", plots.PURPLE),
-        "agent": (0.6, 2.2, "agent", plots.BLUE),
-        "replay": (2.4, 2.2, "replay buffer", plots.BLUE),
-        "reward": (5.3, 1.5, "reward", plots.ORANGE),
-        "frozen": (5.3, 0.35, "frozen reward", plots.ORANGE),
-        "new": (2.4, 0.35, "new policy", plots.BLUE),
-        "goal": (0.6, 0.35, "arrives", plots.GREEN),
+        "expert": (0.6, 3.5, "expert", plots.EXPERT),
+        "demos": (2.4, 3.5, "demonstrations", plots.EXPERT),
+        "judge": (5.3, 2.85, "discriminator"),
+        "agent": (0.6, 2.2, "agent", plots.COPY),
+        "replay": (2.4, 2.2, "replay buffer", plots.COPY),
+        "reward": (5.3, 1.5, "reward", plots.REWARD),
+        "frozen": (5.3, 0.35, "frozen reward", plots.REWARD),
+        "new": (2.4, 0.35, "new policy", plots.AGENT),
+        "goal": (0.6, 0.35, "arrives", plots.AGENT),
     },
     [
         ("expert", "demos"),

@@ -174,7 +174,7 @@ def hoppers_learn(kept, long, falling, run, mode):
         for ax in axes:
             named = ax is axes[0]
             plots.level(
-                ax, mode, "the expert" if named else "", plots.GREEN
+                ax, mode, "the expert" if named else "", plots.EXPERT
             )
             plots.level(ax, 1_000, "")
             ax.set(xlabel="thousand environment steps", ylim=(-100, 3_500))

@@ -58,7 +58,7 @@ def old_and_new(cells):
         plots.maze(axes[0], "Left")
         bare(axes)
         lines, heads = [], []
-        for ax, color in zip(axes, (plots.ORANGE, plots.BLUE), strict=True):
+        for ax, color in zip(axes, (plots.COPY, plots.AGENT), strict=True):
             lines += ax.plot([], [], color=color, lw=2.6, path_effects=EDGE)
             style = {"mec": "white", "ms": 9, "zorder": 4}
             heads += ax.plot([], [], "o", color=color, **style)
@@ -101,19 +101,19 @@ def airl_graph():
             {
                 "s": (0.3, 2.05, "$s$"),
                 "next": (0.3, 1.05, "$s'$"),
-                "r": (1.75, 2.05, r"$r_\psi(s)$", plots.GREEN),
+                "r": (1.75, 2.05, r"$r_\psi(s)$", plots.REWARD),
                 "V": (
                     1.75,
                     1.05,
                     r"$V_\omega(s),\ V_\omega(s')$",
-                    plots.BLUE,
+                    plots.PURPLE,
                 ),
                 "f": (3.4, 1.55, "$f$"),
                 "pi": (
                     3.4,
                     0.35,
                     r"policy: $\log\ \pi(a\,|\,s)$",
-                    plots.ORANGE,
+                    plots.COPY,
                 ),
                 "logit": (4.8, 1.55, r"$\ell = f - \log\ \pi$"),
                 "D": (6.4, 1.55, r"$D = \sigma(\ell)$"),
@@ -334,7 +334,7 @@ def blind(columns, LEFT, RIGHT):
                 runs,
                 ("Left", "Right"),
                 (LEFT, RIGHT),
-                (plots.ORANGE, plots.BLUE),
+                (plots.COPY, plots.AGENT),
                 strict=True,
             ):
                 plots.reward_map(ax, runs[0].reward, side, seed)

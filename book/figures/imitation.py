@@ -36,7 +36,7 @@ def _formula(name):
 
 
 VERDICT = LinearSegmentedColormap.from_list(
-    "verdict", [plots.ORANGE, "white", plots.BLUE]
+    "verdict", [plots.ORANGE, "white", plots.EXPERT]
 )
 
 
@@ -153,15 +153,20 @@ def gail_loop():
     _fig, _ = diagram(
         (7.2, 3.1),
         {
-            "demos": (1.2, 2.5, "demonstrations\n$(s, a)$", plots.GREEN),
+            "demos": (1.2, 2.5, "demonstrations\n$(s, a)$", plots.EXPERT),
             "steps": (
                 1.2,
                 0.6,
                 "the imitator's\nsteps $(s, a)$",
-                plots.ORANGE,
+                plots.COPY,
             ),
-            "D": (3.9, 1.55, "discriminator\n$D(s, a)$", plots.BLUE),
-            "learner": (6.3, 1.55, "learner\n$\\pi(a \\mid s)$", "black"),
+            "D": (3.9, 1.55, "discriminator\n$D(s, a)$"),
+            "learner": (
+                6.3,
+                1.55,
+                "learner\n$\\pi(a \\mid s)$",
+                plots.COPY,
+            ),
         },
         [
             ("demos", "D", "label 1"),
@@ -343,7 +348,7 @@ def penalty(fitted):
             ax.text(3.05, logit[-1], name, color=color, va="center")
         for cloud, color, label in zip(
             clouds,
-            (plots.ORANGE, plots.BLUE),
+            (plots.COPY, plots.EXPERT),
             ("imitator", "expert"),
             strict=True,
         ):
@@ -408,7 +413,7 @@ def efficiency(RUNS, escape, median, paths):
                 ax.plot(*path[:, :2].T, color="white", lw=3.4, zorder=4)
                 ax.plot(*path[:, :2].T, color=LOOK[name], lw=1.6, zorder=5)
             star = {
-                "color": plots.GREEN,
+                "color": plots.STAR,
                 "mec": "black",
                 "ms": 13,
                 "zorder": 6,

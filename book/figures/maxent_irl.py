@@ -52,7 +52,7 @@ def learning(cells, alpha, num_frames=14):
     steps = [last, 0, *steps]  # first what comes out
     with plots.style():
         fig, axes = plt.subplots(1, 2, figsize=(8.2, 4.1), dpi=100)
-    shades = plt.cm.ScalarMappable(plt.Normalize(-0.6, 0), "cividis")
+    shades = plt.cm.ScalarMappable(plt.Normalize(-0.6, 0), plots.REWARD_MAP)
     fig.colorbar(shades, ax=axes, shrink=0.75, label="learned reward")
     panels = []
     for ax, side, maze, place in zip(
@@ -65,7 +65,8 @@ def learning(cells, alpha, num_frames=14):
         image = plots.grid(ax, np.zeros(S), side)
         image.set_clim(-0.6, 0)
         (edge,) = ax.plot([], [], color="white", linewidth=6)
-        (line,) = ax.plot([], [], color=plots.RED, linewidth=3)
+        (line,) = ax.plot([], [], color=plots.AGENT, linewidth=3)
+        line.set_path_effects(drawing.outline(3))
         ax.set_axis_off()
         panels.append((ax, maze, place, image, edge, line))
 
@@ -145,7 +146,7 @@ def loop():
         _fig, _ax = drawing.diagram(
             (6.0, 2.2),
             {
-                "r": (0.7, 1.65, "reward\n$r$", plots.GREEN),
+                "r": (0.7, 1.65, "reward\n$r$", plots.REWARD),
                 "pi": (2.5, 1.65, "policy\n$\\pi_r$", plots.BLUE),
                 "v": (
                     4.7,
@@ -163,7 +164,7 @@ def loop():
                     4.7,
                     0.45,
                     "the expert's visits\n$\\rho_E$",
-                    plots.GREEN,
+                    plots.EXPERT,
                 ),
             },
             [("r", "pi"), ("pi", "v"), ("v", "d"), ("e", "d"), ("d", "r")],
@@ -239,15 +240,15 @@ def along_the_way(best_left, best_right, curves, carried):
         levels = {"first": best_left, "second": best_right}
         for ax, (place, level) in zip(axes, levels.items(), strict=True):
             for name, color, line in (
-                ("r(s)", plots.BLUE, "-"),
+                ("r(s)", plots.REWARD, "-"),
                 ("r(s, a)", plots.ORANGE, "--"),
             ):
                 ax.plot(*curves[name, place], line, color=color)
-            plots.level(ax, level, "expert", plots.GREEN)
+            plots.level(ax, level, "expert", plots.EXPERT)
             ax.set(xlabel="steps of L-BFGS", title=f"{place} maze")
-        plots.level(axes[1], carried, "old policy", plots.RED)
+        plots.level(axes[1], carried, "old policy", plots.COPY)
         axes[0].set(ylabel="true return", ylim=(-14, -3))
-        axes[1].text(205, -5.5, "r(s)", color=plots.BLUE, ha="right")
+        axes[1].text(205, -5.5, "r(s)", color=plots.REWARD, ha="right")
         axes[1].text(115, -7.4, "r(s, a)", color=plots.ORANGE)
         plt.show()
 
@@ -286,7 +287,7 @@ def chess_board(home, chess, moving, rested):
             axes.flat, (home, chess) * 2, policies, names, strict=True
         ):
             image = ax.imshow(
-                reward.reshape(n, n), origin="lower", cmap="cividis"
+                reward.reshape(n, n), origin="lower", cmap=plots.REWARD_MAP
             )
             u, v = 0.9 * (policy[:, :4] @ np.array(moves)).T
             scale_ = {"angles": "xy", "scale_units": "xy", "scale": 1}

@@ -194,7 +194,7 @@ def gates(five, run, expert, ends):
         axes[0].plot(run.steps, run.returns[0], "o", **here)
         shown = expert.returns.mean()
         for ax in axes:
-            plots.level(ax, shown, "demonstrations", plots.GREEN)
+            plots.level(ax, shown, "demonstrations", plots.EXPERT)
         axes[0].set(xlabel="steps", ylabel="score", ylim=(-32, -4))
         for ax, ticks in (
             (axes[0], (-26.5, -16.5, -6.5)),

@@ -3,11 +3,10 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from matplotlib import patheffects
 from matplotlib.collections import LineCollection
 
 import plots
-from drawing import diagram, film, percent, table
+from drawing import diagram, film, outline, percent, table
 from offairl_lite import demonstrations
 from offairl_lite.envs.models import GOAL, walls
 from offairl_lite.runs import records
@@ -27,7 +26,7 @@ def _reward_map(ax, side, airl, scale):
         value - value.max(),
         origin="lower",
         extent=(inner[0], inner[-1]) * 2,
-        cmap="cividis",
+        cmap=plots.REWARD_MAP,
         zorder=1,
     )
     plots.maze(ax, side)
@@ -37,13 +36,13 @@ def _reward_map(ax, side, airl, scale):
 
 def _draw_paths(ax, paths, color):
     for path in paths:
-        edge = patheffects.withStroke(linewidth=4, foreground="white")
-        ax.plot(*path.T, color=color, lw=2, path_effects=[edge], zorder=4)
+        edge = {"path_effects": outline(2.8), "zorder": 4}
+        ax.plot(*path.T, color=color, lw=2.8, **edge)
 
 
 def _levels(ax, demonstrated):
     # what the demonstrations return, and the trap, with the score as axis
-    plots.level(ax, demonstrated, "demonstrations", plots.GREEN)
+    plots.level(ax, demonstrated, "demonstrations", plots.EXPERT)
     plots.level(ax, -26.5, "the trap", plots.GREY, ":")
     ticks = np.array([-26.5, -16.5, -6.5])
     ax.set_yticks(ticks, labels=[percent(value) for value in ticks])
@@ -57,7 +56,7 @@ def _spread(ends):
 
 def moving_wall(imitation, demonstrated, kept):
     """Return a film of the chapter: a reward is learned, the wall moves."""
-    COLORS = {"learned": plots.BLUE, "old": plots.RED, "new": plots.PURPLE}
+    COLORS = {"learned": plots.COPY, "old": plots.COPY, "new": plots.AGENT}
     STORY = {
         "shown": (12, "1  Fifty runs\n    of experts"),
         "reward": (6, "2  The reward\n    behind them"),
@@ -72,7 +71,7 @@ def moving_wall(imitation, demonstrated, kept):
         for name, (count, _) in STORY.items()
         for i in range(count)
     ]
-    EDGE = [patheffects.withStroke(linewidth=6, foreground="white")]
+    EDGE = outline(3.2)
 
     with plots.style():
         fig = plt.figure(figsize=(7.2, 4.8), dpi=100, layout="none")
@@ -81,9 +80,9 @@ def moving_wall(imitation, demonstrated, kept):
         image.set_alpha(0)
         ax.axis("off")
         barrier = ax.collections[0]
-        swarm = LineCollection([], colors=plots.GREEN, lw=1.4, alpha=0.5)
+        swarm = LineCollection([], colors=plots.EXPERT, lw=1.4, alpha=0.5)
         ax.add_collection(swarm)
-        heads = ax.plot([], [], "o", color=plots.GREEN, ms=5, mec="white")[
+        heads = ax.plot([], [], "o", color=plots.EXPERT, ms=5, mec="white")[
             0
         ]
         trails = {}
@@ -139,22 +138,22 @@ def loop():
                 0.9,
                 3.9,
                 "policy\n" + r"$\pi(a \mid s)$",
-                plots.BLUE,
+                plots.COPY,
             ),
             "maze": (3.4, 3.9, "maze"),
             "replay": (3.4, 2.2, "replay buffer\n" + r"$R$", plots.ORANGE),
-            "sac": (0.9, 2.2, "soft\nactor-critic", plots.BLUE),
+            "sac": (0.9, 2.2, "soft\nactor-critic", plots.COPY),
             "airl": (
                 0.9,
                 0.5,
                 "discriminator\n" + r"$r_\psi,\ V_\omega$",
-                plots.RED,
+                plots.REWARD,
             ),
             "expert": (
                 3.4,
                 0.5,
                 "demonstrations\n" + r"$R_E$",
-                plots.GREEN,
+                plots.EXPERT,
             ),
         },
         [
@@ -179,7 +178,7 @@ def mazes(demonstrated):
             ax.set_title(f"PointMaze{side}")
         axes[1].set_ylabel("")
         axes[0].plot(
-            *demonstrated[:10].T, color=plots.GREEN, alpha=0.7, lw=1
+            *demonstrated[:10].T, color=plots.EXPERT, alpha=0.7, lw=1
         )
         plt.show()
 
@@ -202,11 +201,11 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
             1, 2, figsize=(7.4, 3.4), width_ratios=(5, 4)
         )
         steps, values = np.transpose(curve)
-        axes[0].plot(steps / 1_000, values, "o-", color=plots.BLUE, ms=3)
+        axes[0].plot(steps / 1_000, values, "o-", color=plots.COPY, ms=3)
         _levels(axes[0], expert.returns.mean())
         axes[0].set(xlabel="thousand environment steps", title="score")
         image = _reward_map(axes[1], "Left", airl, scale)
-        _draw_paths(axes[1], paths, plots.BLUE)
+        _draw_paths(axes[1], paths, plots.COPY)
         fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
         plt.show()
 
@@ -219,12 +218,12 @@ def wall_moved(old_return, stuck, new, airl, scale):
             (
                 f"old policy: {percent(old_return)}",
                 stuck,
-                plots.RED,
+                plots.COPY,
             ),
             (
                 f"new policy: {percent(new['new_return'])}",
                 new["new_paths"],
-                plots.PURPLE,
+                plots.AGENT,
             ),
         )
         for ax, (title, walks, color) in zip(axes, shown, strict=True):
@@ -240,8 +239,8 @@ def five_seeds(imitation, expert, transfer, target):
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
         curves = (
-            (imitation, plots.BLUE, "imitation", expert.returns.mean()),
-            (transfer, plots.PURPLE, "transfer", target),
+            (imitation, plots.COPY, "imitation", expert.returns.mean()),
+            (transfer, plots.AGENT, "transfer", target),
         )
         for ax, (run, color, title, value) in zip(
             axes, curves, strict=True
@@ -265,8 +264,8 @@ def behind_the_star(imitation, released, line, kept):
             r = (r - r.max(1, keepdims=True)).T
             axes[0].plot(line[:, 1], r, color=color, lw=1)
         sides = (
-            (kept["log_pi"]["star"], plots.GREEN),
-            (kept["log_pi"]["wall"], plots.BLUE),
+            (kept["log_pi"]["star"], plots.EXPERT),
+            (kept["log_pi"]["wall"], plots.COPY),
         )
         for drawn, color in sides:
             y, value = drawn["y"].flatten(), drawn["log_pi"].flatten()
@@ -278,8 +277,8 @@ def behind_the_star(imitation, released, line, kept):
         for ax, x, y, text, color in (
             (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
             (axes[0], 0.555, -0.8, "log-ratio loss", plots.ORANGE),
-            (axes[1], 0.495, -30, "experts", plots.GREEN),
-            (axes[1], 0.558, -13, "own\nactions", plots.BLUE),
+            (axes[1], 0.495, -30, "experts", plots.EXPERT),
+            (axes[1], 0.558, -13, "own\nactions", plots.COPY),
         ):
             ax.text(x, y, text, color=color, ha="right")
         axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")

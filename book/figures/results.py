@@ -169,14 +169,14 @@ def with_the_recipe(PAIRS, LABELS, of_demonstrations):
             for run, label, color in zip(pair, LABELS, colors, strict=True):
                 percent = run.returns / of_demonstrations(robot)
                 plots.curve(ax, run.steps / 1_000, percent, label, color)
-            plots.level(ax, 100, "", plots.GREEN)
+            plots.level(ax, 100, "", plots.EXPERT)
             ax.set(title=robot)
         for ax in axes[1]:
             ax.set(xlabel="thousand steps")
         for ax in axes[:, 0]:
             ax.set(ylabel="% of demonstrations")
         names = [*zip(LABELS, colors, strict=True)]
-        names.append(("demonstrations", plots.GREEN))
+        names.append(("demonstrations", plots.EXPERT))
         for i, (label, color) in enumerate(reversed(names)):
             axes[1, 0].text(
                 0.97,

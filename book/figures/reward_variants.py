@@ -45,7 +45,7 @@ def learning(story_r, STORIES, hold=2):
             origin="lower",
             extent=extent,
             interpolation="bilinear",
-            cmap="cividis",
+            cmap=plots.REWARD_MAP,
             zorder=1,
         )
         image.set_clim(depth, 0)
@@ -99,7 +99,7 @@ def _score_axis(ax):
     ax.set_xlabel("score at the end, %")
     for at, name, color in (
         (0, "trap", plots.GREY),
-        (100, "expert", plots.GREEN),
+        (100, "expert", plots.EXPERT),
     ):
         ax.axvline(at, color=color, ls="--", lw=1.2, zorder=0)
         place = {"xycoords": ("data", "axes fraction")}

@@ -46,7 +46,7 @@ def soft_iteration(grid, values, iterates, errors):
             image = plots.grid(ax, values[k], "Left")
             image.set_clim(-15, values.max())
             move = iterates[k].policy[every], grid.positions[every]
-            plots.arrows(ax, *move, "black").width = 0.011
+            plots.arrows(ax, *move).width = 0.011
             error = f"{errors[k]:.1f}" if k < 5 else "below $10^{-9}$"
             title = (
                 f"{k} improvement{'s' * (k != 1)}\nlargest error {error}"
@@ -152,7 +152,7 @@ def swing_up(sac, pendulum, act):
             origin="lower",
             extent=(-edge, edge, -8, 8),
             aspect="auto",
-            cmap="cividis",
+            cmap=plots.REWARD_MAP,
         )
         fig.colorbar(image, ax=right, label="Q of the action without noise")
         right.set(xlabel="angle", ylabel="speed (rad/s)")

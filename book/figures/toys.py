@@ -41,10 +41,10 @@ TOYS = {
     ),
     "rewards": Toy(
         ["mazes"],
-        "Pull the steps past 100, where the violet curve falls: moves "
-        "into the old gap turn green. (In the toys green is a high "
-        "reward.) Then add a shaping: the map becomes noise, and the "
-        "arrows on the left stay.",
+        "Pull the steps past 100, where the orange curve falls: moves "
+        "into the old gap turn green. (In maps green is a high reward.) "
+        "Then add a shaping: the map becomes noise, and the arrows on "
+        "the left stay.",
         "Two mazes coloured by a reward of the move. In the first its "
         "policy goes round the wall; when the wall has moved, into it. "
         "Below, its score falls from near 100 % to 0 after about a hundred "

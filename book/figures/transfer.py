@@ -6,10 +6,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from IPython.display import HTML
-from matplotlib import patheffects
 
 import plots
-from drawing import diagram, film, percent, table
+from drawing import diagram, film, outline, percent, table
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL, START
 from offairl_lite.runs import records
@@ -19,7 +18,7 @@ LEFT, RIGHT = "offairl/PointMazeLeft-v0", "offairl/PointMazeRight-v0"
 TWO_KINDS = "maze-transfer-rewards-demo/released-and-airl"
 
 
-EDGE = [patheffects.withStroke(linewidth=4.5, foreground="white")]
+EDGE = outline(2.6)
 
 
 def walk(policy, task):
@@ -112,18 +111,18 @@ NAMED = {
 def old_and_new(source, again, on_ppo, ppo):
     """Return a film of old and new policies, and what moves in it."""
     scenes = (
-        ("the old policies", source.policy, source.reward, plots.RED),
+        ("the old policies", source.policy, source.reward, plots.COPY),
         (
             "new policies,\noff-policy reward",
             again.policy,
             source.reward,
-            plots.GREEN,
+            plots.AGENT,
         ),
         (
             "new policies,\non-policy reward",
             on_ppo.policy.member(*range(5, 10)),
             ppo.reward,
-            plots.ORANGE,
+            plots.AGENT,
         ),
     )
     with plots.style():
@@ -136,7 +135,7 @@ def old_and_new(source, again, on_ppo, ppo):
             ax.axis("off")
             ax.set_title(title, fontsize=12)
             for path in walk(policy, RIGHT):
-                (line,) = ax.plot([], [], color=color, lw=2.2, zorder=4)
+                (line,) = ax.plot([], [], color=color, lw=2.6, zorder=4)
                 line.set_path_effects(EDGE)
                 (dot,) = ax.plot([], [], "o", color=color, ms=9, zorder=5)
                 dot.set(markeredgecolor="white", markeredgewidth=1.5)
@@ -160,18 +159,18 @@ def frozen():
                 1.0,
                 3.7,
                 "demonstrations\nof the old maze",
-                plots.GREEN,
+                plots.EXPERT,
             ),
-            "airl": (3.6, 3.7, "off-policy\nAIRL", plots.RED),
+            "airl": (3.6, 3.7, "off-policy\nAIRL"),
             "r": (
                 1.0,
                 2.1,
                 "reward " + r"$r_\psi(s)$" + "\nfrozen",
-                plots.RED,
+                plots.REWARD,
             ),
-            "pi": (3.6, 2.1, "old policy " + r"$\pi$", plots.BLUE),
+            "pi": (3.6, 2.1, "old policy " + r"$\pi$", plots.COPY),
             "help": (3.6, 0.5, "warm-up,\nguide"),
-            "sac": (1.0, 0.5, "SAC in the\nnew maze", plots.BLUE),
+            "sac": (1.0, 0.5, "SAC in the\nnew maze", plots.AGENT),
         },
         [
             ("demos", "airl"),
@@ -203,9 +202,11 @@ def way_back(moved, shown, carried, there):
         fig, axes = plt.subplots(
             2, 1, figsize=(4.6, 6.0), height_ratios=(4, 5)
         )
-        plots.curve(axes[0], moved.steps / 1_000, moved.returns, "")
-        plots.level(axes[0], shown, "demonstrations", plots.GREEN)
-        plots.level(axes[0], carried.mean(), "old policies", plots.RED)
+        plots.curve(
+            axes[0], moved.steps / 1_000, moved.returns, "", plots.AGENT
+        )
+        plots.level(axes[0], shown, "demonstrations", plots.EXPERT)
+        plots.level(axes[0], carried.mean(), "old policies", plots.COPY)
         axes[0].set(xlabel="thousand steps", ylabel="score")
         ticks = (-26.5, -16.5, -6.5)
         axes[0].set_yticks(ticks, [percent(value) for value in ticks])
@@ -214,8 +215,8 @@ def way_back(moved, shown, carried, there):
         for path in walk(moved.policy, LEFT):
             axes[1].plot(
                 *path.T,
-                color=plots.GREEN,
-                lw=2,
+                color=plots.AGENT,
+                lw=2.6,
                 path_effects=EDGE,
                 zorder=4,
             )
@@ -443,7 +444,7 @@ def rewards_in_the_new_maze(side, values, rewards, x, SEES, spots, asked):
                 (value - value.min()) / np.ptp(value),
                 origin="lower",
                 extent=extent,
-                cmap="cividis",
+                cmap=plots.REWARD_MAP,
             )
             plots.maze(ax, "Right")
             ax.axis("off")

@@ -6,17 +6,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import HTML
 from jaxtyping import Float
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from numpy import ndarray as Array
 
-from drawing import table
+import plots
+from drawing import EDGE, table
 from grid_worlds import CELLS, dense
-from offairl_lite.analysis import plots
 from offairl_lite.tabular import MDP, soft_value_iteration
 
 ALPHA = 0.05
-EDGE = [patheffects.withStroke(linewidth=5, foreground="white")]
 
 
 def draw_world(
@@ -24,7 +22,8 @@ def draw_world(
 ) -> None:
     """Draw walls, a reward of the squares and the policy's likely way."""
     grid = reward.reshape(CELLS, CELLS)
-    ax.imshow(grid - grid.max(), origin="lower", cmap="cividis", vmin=-0.6)
+    look = {"origin": "lower", "cmap": plots.REWARD_MAP, "vmin": -0.6}
+    ax.imshow(grid - grid.max(), **look)
     p = dense(mdp).max(1)  # the likeliest action that leads there
     for low in range(CELLS * (CELLS - 1)):
         if p[low, low + CELLS] == 0:
@@ -37,7 +36,7 @@ def draw_world(
     ax.plot(*way[0], marker="o", color="white", ms=7, **at)
     ax.plot(*way[-1], marker="o", color=color, ms=8, **at)
     goal = divmod(int(reward.argmax()), CELLS)[::-1]
-    ax.plot(*goal, marker="*", color=plots.GREEN, ms=14, **at)
+    ax.plot(*goal, marker="*", color=plots.STAR, ms=14, **at)
     ax.set(xticks=[], yticks=[], xlim=(-0.5, CELLS - 0.5))
     ax.grid(False)
 
@@ -59,14 +58,11 @@ def opening(
     with plots.style():
         _, axes = plt.subplots(1, size, figsize=(5.6, 5.6 / size + 0.4))
     expert = soft_value_iteration(shown, truth, ALPHA).policy
-    draw_world(axes[0], shown, truth, plots.GREEN, expert)
+    draw_world(axes[0], shown, truth, plots.EXPERT, expert)
     axes[0].set_title("the expert's maze")
-    colors = (plots.ORANGE, plots.BLUE)
-    for ax, (name, r), color in zip(
-        axes[1:], rewards.items(), colors, strict=True
-    ):
+    for ax, (name, r) in zip(axes[1:], rewards.items(), strict=True):
         policy = soft_value_iteration(new, r, ALPHA).policy
-        draw_world(ax, new, truth, color, policy)
+        draw_world(ax, new, truth, plots.AGENT, policy)
         ax.set_title(name)
     plt.show()
 

@@ -4,18 +4,17 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.patches import Rectangle
 
 import plots
-from drawing import diagram, table
+from drawing import diagram, outline, table
 from offairl_lite.envs.models import GOAL, MARSH, WEST
 from offairl_lite.envs.tasks import MARSH_COST, in_marsh
 from offairl_lite.runs import records
 
 RECORDS = Path("records")
 
-EDGE = [patheffects.withStroke(linewidth=4, foreground="white")]
+EDGE = outline(2.4)
 
 
 FIRST, KNOWN = "marsh-{}-demo", "decides-marsh-demo"
@@ -86,7 +85,7 @@ MOVES = {
 def _draw_marsh(ax, value, title):
     scaled = ((value - value.min()) / np.ptp(value)).reshape(66, 66)
     image = ax.imshow(
-        scaled, origin="lower", extent=FACES * 2, cmap="cividis"
+        scaled, origin="lower", extent=FACES * 2, cmap=plots.REWARD_MAP
     )
     looks = {"colors": "white", "linewidths": 0.6, "alpha": 0.6}
     ax.contour(middles, middles, scaled, 12, **looks)
@@ -101,7 +100,9 @@ def _draw_marsh(ax, value, title):
 
 
 def _draw_path(ax, path, color):
-    ax.plot(*path[:, :2].T, color=color, lw=2, path_effects=EDGE, zorder=4)
+    ax.plot(
+        *path[:, :2].T, color=color, lw=2.4, path_effects=EDGE, zorder=4
+    )
 
 
 def routes(marsh, last, expert, wet, arrived):
@@ -164,8 +165,8 @@ def marshes(drawn, paths):
         for ax, (title, (value, walk)) in panels:
             image = _draw_marsh(ax, value, title)
             for path in paths[:5, :25]:
-                _draw_path(ax, path, plots.GREEN)
-            _draw_path(ax, walk, plots.RED)
+                _draw_path(ax, path, plots.EXPERT)
+            _draw_path(ax, walk, plots.AGENT)
         bar = fig.colorbar(image, ax=axes, shrink=0.7, ticks=[0, 1])
         bar.ax.set_yticklabels(["lowest", "highest"])
         plt.show()
@@ -218,10 +219,10 @@ def what_each_sees():
         (7.2, 2.8),
         {
             "obs": (0.95, 1.4, "CustomAnt\n111 numbers", plots.GREEN),
-            "pi": (3.3, 2.4, "policy " + r"$\pi$", plots.BLUE),
-            "r": (3.4, 1.4, "reward " + r"$r_\psi$", plots.RED),
+            "pi": (3.3, 2.4, "policy " + r"$\pi$", plots.COPY),
+            "r": (3.4, 1.4, "reward " + r"$r_\psi$", plots.REWARD),
             "v": (3.3, 0.4, "shaping " + r"$V_\omega$", plots.RED),
-            "sac": (6.1, 1.4, "new policy\non DisabledAnt", plots.BLUE),
+            "sac": (6.1, 1.4, "new policy\non DisabledAnt", plots.AGENT),
         },
         [
             ("obs", "pi", "all"),
@@ -244,13 +245,13 @@ def ants(ends, of_experts):
             ax.plot(end, rows, "o", color=color, ms=9, mec="white")
         ax.axvline(0, color="black", lw=0.8)
         for value in of_experts:
-            ax.axvline(value, color=plots.GREEN, lw=1.2, ls="--")
+            ax.axvline(value, color=plots.EXPERT, lw=1.2, ls="--")
         ax.annotate(
             "experts",
             (np.mean(of_experts), 1.02),
             xycoords=("data", "axes fraction"),
             ha="center",
-            color=plots.GREEN,
+            color=plots.EXPERT,
         )
         names = [name.replace(", centred", "") for name in ends]
         ax.set_yticks(range(len(ends)), names)

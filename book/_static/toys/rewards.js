@@ -104,7 +104,7 @@
         ctx.beginPath();
         ctx.rect(box.x, box.y - 4, box.w + 8, box.h + 8);
         ctx.clip();
-        for (const [which, paintOf] of [["state", colour.good], ["pair", colour.expert]])
+        for (const [which, paintOf] of [["state", colour.good], ["pair", colour.policy]])
           window.toys.line(ctx, curves[which].map(([x, y]) => at(x, y)), paintOf, which === kind ? 4 : 2);
         ctx.restore();
         const edge = at(Math.min(step, last), 0)[0];
@@ -112,7 +112,7 @@
         const y = Math.max(0, Math.min(104, percent(now.plans[1].value, 1)));
         window.toys.dot(ctx, ...at(step, y), 7, colour.learner, colour.rim);
         window.toys.text(ctx, "r(s)", at(140, 0)[0], at(0, 84)[1], {colour: colour.good});
-        window.toys.text(ctx, "r(s, a)", at(140, 0)[0], at(0, 14)[1], {colour: colour.expert});
+        window.toys.text(ctx, "r(s, a)", at(140, 0)[0], at(0, 14)[1], {colour: colour.policy});
       },
       grab: (x, y, ask) => ask || choose(x) || true,
       drag: choose,

@@ -1,9 +1,11 @@
 // What all toys share: a palette for light and dark pages, sharp canvases that mouse, finger and
 // keyboard can use, controls, and a line that says what has happened. No library, no network.
 window.toys = window.toys || (() => {
+  // The colours of roles are those of the figures, `plots.py`, on light pages: expert, copy, learner,
+  // good (the learned reward) and star. The figures' maps of rewards are those of dark pages.
   const LIGHT = {
     card: "#fffefa", ink: "#25213f", soft: "#635e7d", line: "#e4dff0", floor: "#f6f3ff",
-    expert: "#7c4dff", copy: "#1f77e6", learner: "#ffc21a", wall: "#f2545b", good: "#0f9d7a", policy: "#c75f00",
+    expert: "#5a1fd6", copy: "#2f7fd0", learner: "#ffc21a", wall: "#f2545b", good: "#009e73", policy: "#c75f00",
     rim: "#25213f", star: "#ff4d9d", button: "#efeaff", pressed: "#6c3df4", onPressed: "#ffffff",
     reward: ["#f6f3ff", "#dcf6ea", "#9ee8cb", "#45cda6", "#0aa587", "#00756a"],
     penalty: ["#f6f3ff", "#f2545b"],
@@ -12,7 +14,7 @@ window.toys = window.toys || (() => {
   };
   const DARK = {
     card: "#1d1b2e", ink: "#f3f0ff", soft: "#b9b3d3", line: "#3a3655", floor: "#262340",
-    expert: "#b79aff", copy: "#5cb3ff", learner: "#ffce45", wall: "#ff7b7b", good: "#4fe0b0", policy: "#ffb04d",
+    expert: "#9670ff", copy: "#86d6ff", learner: "#ffce45", wall: "#ff7b7b", good: "#4fe0b0", policy: "#ffb04d",
     rim: "#0f0d1c", star: "#ff79b8", button: "#352f57", pressed: "#a98bff", onPressed: "#17142b",
     reward: ["#262340", "#22454f", "#1c6f6b", "#1d9c82", "#45cf9d", "#b6ffd9"],
     penalty: ["#262340", "#ff7b7b"],

@@ -171,7 +171,7 @@
       const route = now.ways[k], line = route.map(b.centre), last = route.length - 1;
       fill();
       window.toys.line(ctx, line, colour.card, 7);
-      window.toys.line(ctx, line, k < 2 ? colour.expert : colour.copy, 4);
+      window.toys.line(ctx, line, k < 2 ? colour.expert : colour.learner, 4);
       window.toys.star(ctx, ...b.centre(LEFT.goal), Math.max(12, 0.8 * b.size), colour.star, colour.rim);
       paint.walker(ctx, ...line[last], Math.max(6, 0.4 * b.size),
         k < 2 ? colour.expert : colour.learner, colour);
