@@ -25,7 +25,7 @@ def try_out(env_id: str, seed: int) -> list[str]:
 
     Raises:
         ValueError: an episode of random actions never ends.
-        TaskError: the task itself fails.
+        envs.TaskError: the task itself fails.
     """
     notes = []
     with closing(envs.make(env_id, 1, [seed])) as env:
