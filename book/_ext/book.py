@@ -66,9 +66,10 @@ def draw_for_dark_pages(app, exception):
 
 def tell_boxes_apart(app, doctree):
     """Give questions to the reader a colour, and proofs a quiet one."""
-    looks = {"Predict": "question-to-you", "Proof": "quiet"}
+    looks = dict.fromkeys(("Bet", "Predict"), "question-to-you")
+    looks["Proof"] = "quiet"
     for box in doctree.findall(nodes.admonition):
-        first = box[0].astext().split(" ")[0]
+        first = box[0].astext().split(" ")[0].rstrip(":")
         if first in looks:
             box["classes"].append(looks[first])
 
