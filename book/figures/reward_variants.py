@@ -256,10 +256,21 @@ def crossed(WORDS, counted):
     )
 
 
+PARTS = {
+    "": "loop, tail",
+    "-cold": "loop, tail",
+    "-another's": "no loop, tail",
+    "-clipped": "loop, no tail",
+    "-mixture": "weak loop, no tail",
+    "-soft": "no loop, no tail",
+    "-learned": "no loop, no tail",
+}
+
+
 def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
     """Draw scores and values of the variants."""
     with plots.style():
-        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.0), sharey=True)
+        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.8), sharey=True)
         for row, form in enumerate(FORMS):
             for n, y in ((1, row - 0.2), (2, row + 0.2)):
                 name = f"implementation-{n}{form}"
@@ -274,8 +285,9 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
         axes[1].annotate("arrive", (1.02, 1.02), **place)
         _score_axis(axes[0])
         rows = range(len(FORMS))
+        labels = [f"{WORDS[x]}\n{PARTS[x]}" for x in FORMS]
         for ax in axes:
-            ax.set(yticks=rows, yticklabels=[WORDS[x] for x in FORMS])
+            ax.set_yticks(rows, labels, fontsize="small", linespacing=0.95)
         axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
         for n, y, name in ((1, -0.2, "$r(s, a)$"), (2, 0.2, "$r(s)$")):
             color = COLORS[f"implementation-{n}"]
