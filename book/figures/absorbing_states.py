@@ -102,32 +102,32 @@ def fates(gammas, shifts, nothing, never, fall):
 
 def goes_on():
     """Draw an episode that ends, and one that goes on."""
-    top, low = 1.6, 0.4
-    places = (0.4, 1.8, 3.5, 5.6)
+    left, right = 1.0, 3.0
+    places = (3.3, 2.5, 1.45, 0.4)
     texts = (r"$\cdots$", "$s_{T-1}$", "$s_T$")
     boxes = {}
-    for row, y, *end in (
-        ("a", top, "end, worth 0", plots.RED),
-        ("b", low, "$s_a$", plots.GREEN),
+    for column, x, *end in (
+        ("a", left, "end, worth 0", plots.RED),
+        ("b", right, "$s_a$", plots.GREEN),
     ):
-        for i, (x, text) in enumerate(zip(places, texts, strict=False)):
-            boxes[f"{row}{i}"] = (x, y, text)
-        boxes[f"{row}3"] = (places[3], y, *end)
+        for i, (y, text) in enumerate(zip(places, texts, strict=False)):
+            boxes[f"{column}{i}"] = (x, y, text)
+        boxes[f"{column}3"] = (x, places[3], *end)
     labels = ("", "$r(s_{T-1})$", "$r(s_T)$")
     _fig, ax = diagram(
-        (6.6, 2.0),
+        (4.2, 3.7),
         boxes,
         [
-            (f"{row}{i}", f"{row}{i + 1}", label)
-            for row in "ab"
+            (f"{column}{i}", f"{column}{i + 1}", label)
+            for column in "ab"
             for i, label in enumerate(labels)
         ],
     )
     looks = {"arrowstyle": "-|>", "color": "#444444", "lw": 1.6}
-    bow = {"connectionstyle": "arc3,rad=2.2", "shrinkA": 0, "shrinkB": 0}
-    x, y = places[3], low + 0.15  # the top of its box
-    ax.annotate("", (x - 0.1, y), (x + 0.1, y), arrowprops={**looks, **bow})
-    ax.text(x + 0.24, low + 0.42, "$r(s_a)$", va="center")
+    bow = {"connectionstyle": "arc3,rad=-2.2", "shrinkA": 0, "shrinkB": 0}
+    x, y = right + 0.16, places[3]  # the right side of its box
+    ax.annotate("", (x, y - 0.1), (x, y + 0.1), arrowprops=looks | bow)
+    ax.text(x + 0.37, y, "$r(s_a)$", va="center")
     plt.show()
 
 

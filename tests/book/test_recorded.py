@@ -501,3 +501,10 @@ def test_no_number_that_the_records_have_is_typed_into_the_results(page):
 
 def test_every_field_of_a_record_is_one_of_the_configuration():
     assert set().union(*VARIED.values()) | LENGTH <= set(flat_settings())
+
+
+def test_after_8000_steps_a_fall_costs_22_to_25():
+    """Chapter 7 says so of the five hoppers without an absorbing state."""
+    run = records.read(HOME / "hopper-none-demo/Hopper-released-fixed-short")
+    paid = [row.learned_return for row in run.rows if row.step == 8_000]
+    assert (len(paid), round(max(paid)), round(min(paid))) == (5, -22, -25)
