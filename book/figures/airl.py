@@ -11,7 +11,7 @@ import plots
 from drawing import EDGE, bare, diagram, film, number, percent, table
 from offairl_lite import demonstrations, tabular
 from offairl_lite.core.rollouts import rollout
-from offairl_lite.envs.models import START
+from offairl_lite.envs.models import GOAL, START
 from offairl_lite.tabular import occupancy, soft_value_iteration
 
 
@@ -293,6 +293,14 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
         r = source.reward(obs, action).view(walks.reward.shape)
         return r.sum(-1).mean(1).numpy()
 
+    def place(seed, arrives):
+        # Where the new agent ends: the start is 0.5 away from the star.
+        end = new_walks.next_obs[seed, :, -20:, :2]
+        if arrives:
+            return "at the star"
+        far = np.linalg.norm(end - GOAL, axis=-1).mean()
+        return "in a corner" if far > 0.5 else "short of it"
+
     rows = []
     for seed, (agent, expert) in enumerate(
         zip(collected(new_walks), collected(theirs), strict=True)
@@ -303,7 +311,8 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
             (
                 f"{seed}",
                 percent(source.returns[seed, -1]),
-                percent(trained.returns[seed, -1]),
+                f"{percent(trained.returns[seed, -1])}<br>"
+                f"{place(seed, arrives)}",
                 number(agent, 0),
                 number(expert, 0),
                 "–" if arrives else fault,
