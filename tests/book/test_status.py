@@ -53,7 +53,9 @@ def test_the_minutes_that_are_promised_are_the_budget(page):
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_the_minutes_of_a_chapter_are_on_the_front_page(chapter):
     front = (ROOT / "book/index.md").read_text()
-    assert f"{{doc}}`{chapter}` | {MINUTES[chapter]} |" in front
+    assert f"{{doc}}`{chapter}` |" in front
+    assert "Each chapter's code runs in one or two minutes on one core." in front
+    assert MINUTES[chapter] in (1, 2)
 
 
 @pytest.mark.parametrize("page", PATHS)
