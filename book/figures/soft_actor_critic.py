@@ -207,14 +207,13 @@ def experts(trained_by, RECORDS, shipped):
     for task, folder in trained_by.items():
         run = records.read(RECORDS / folder)
         fixed = run.config.learner.temperature
+        alpha = "learned" if fixed is None else fixed
         row = (
-            task,
-            "learned" if fixed is None else str(fixed),
-            f"{run.steps[-1]:,}",
+            f"{task}<br><small>α: {alpha}, {run.steps[-1]:,} steps</small>",
             _shown(max(shipped[task]["returns"])),
             _shown(shipped[task]["demonstrated"][-1]),
             _shown(PAPER[task][0]),
         )
         rows.append(row)
-    head = ("task", "α", "steps", "best expert", "demonstrations", "paper")
+    head = ("task", "best expert", "demonstrations", "paper")
     return table(head, rows)
