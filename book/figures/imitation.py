@@ -151,28 +151,28 @@ def judged_pushes(demos):
 def gail_loop():
     """Draw the loop of GAIL."""
     _fig, _ = diagram(
-        (7.2, 3.1),
+        (4.3, 3.5),  # two columns, which a phone can show, too
         {
-            "demos": (1.2, 2.5, "demonstrations\n$(s, a)$", plots.EXPERT),
-            "steps": (
-                1.2,
-                0.6,
-                "the imitator's\nsteps $(s, a)$",
-                plots.COPY,
-            ),
-            "D": (3.9, 1.55, "discriminator\n$D(s, a)$"),
             "learner": (
-                6.3,
-                1.55,
+                0.9,
+                2.9,
                 "learner\n$\\pi(a \\mid s)$",
                 plots.COPY,
             ),
+            "steps": (
+                3.4,
+                2.9,
+                "the imitator's\nsteps $(s, a)$",
+                plots.COPY,
+            ),
+            "D": (0.9, 0.6, "discriminator\n$D(s, a)$"),
+            "demos": (3.4, 0.6, "demonstrations\n$(s, a)$", plots.EXPERT),
         },
         [
-            ("demos", "D", "label 1"),
+            ("learner", "steps", "acts"),
             ("steps", "D", "label 0"),
+            ("demos", "D", "label 1"),
             ("D", "learner", "reward"),
-            ("learner", "steps", "acts", -0.3),
         ],
     )
     plt.show()
@@ -244,7 +244,7 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
     ABOUT = {"A": "expert A leaves", "B": "expert B stays"}
     WHEN = {"A": 4, "B": 50}
 
-    def draw_game(ax, policy, teacher, color, steps):
+    def draw_game(ax, policy, teacher, color, name, steps):
         for p, paint, place in (
             (teacher, "black", rooms + 0.8),
             (policy, color, rooms + 1.2),
@@ -254,26 +254,22 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             ax.bar(place, -share[:, LEFT], 0.4, color=paint)
         ax.axhline(0, color="black", lw=0.8)
         ended = [f"{100 * gone(p, steps):.0f} %" for p in (policy, teacher)]
-        ax.set_title("gone: {}, expert {}".format(*ended), size="medium")
+        text = "{}\ngone: {}, expert {}".format(_formula(name), *ended)
+        ax.set_title(text, color=color, size="medium")
         ax.grid(False)
-        ax.set_ylim(-0.5, 0.5)
+        ax.set(ylim=(-0.5, 0.5), xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
+        ax.set_yticklabels(["40 % left", "0", "40 % right"])
 
     with plots.style():
-        _fig, axes = plt.subplots(
-            3, 2, figsize=(7.4, 7.4), sharex=True, sharey=True
-        )
-        for row, name in zip(axes, REWARDS, strict=True):
-            row[0].set_ylabel(_formula(name), color=COLORS[name], size=12)
-            for ax, who in zip(row, EXPERTS, strict=True):
+        # Both experts in one column, which a phone can show, too.
+        fig = plt.figure(figsize=(4.3, 11.4))
+        for part, who in zip(fig.subfigures(2, 1), EXPERTS, strict=True):
+            part.suptitle(ABOUT[who])
+            axes = part.subplots(3, 1, sharex=True, sharey=True)
+            for ax, name in zip(axes, REWARDS, strict=True):
                 policies = played[who, name], EXPERTS[who]
-                draw_game(ax, *policies, COLORS[name], WHEN[who])
-        for ax, who in zip(axes[0], EXPERTS, strict=True):
-            ax.set_title(f"{ABOUT[who]}\n\n{ax.get_title()}", size="large")
-        for ax in axes[-1]:
-            ax.set(xlabel="room", xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
-            ax.set_yticklabels(
-                ["40 %\nto the left", "0", "40 %\nto the right"]
-            )
+                draw_game(ax, *policies, COLORS[name], name, WHEN[who])
+            axes[-1].set_xlabel("room")
         plt.show()
 
 
