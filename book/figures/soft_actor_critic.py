@@ -209,7 +209,7 @@ def experts(trained_by, RECORDS, shipped):
         fixed = run.config.learner.temperature
         alpha = "learned" if fixed is None else fixed
         row = (
-            f"{task}<br><small>α: {alpha}, {run.steps[-1]:,} steps</small>",
+            f"{task}<br>α: {alpha}, {run.steps[-1]:,} steps",
             _shown(max(shipped[task]["returns"])),
             _shown(shipped[task]["demonstrated"][-1]),
             _shown(PAPER[task][0]),
