@@ -90,7 +90,7 @@ def how_many_arrive(FOUND, MAZES, arrived):
 @recorded
 def after_how_many_steps(FOUND):
     """Claim 4 is judged after 100,000 steps, and claims 7 and 8 after
-    40,000."""
+    40,000. After 40,000 seven old policies have arrived (`who_arrives`)."""
     assert all("100k" in each.scale for each in FOUND[4])
     assert all("40k" in each.scale for each in FOUND[7] + FOUND[8][:3])
 
@@ -280,6 +280,21 @@ def an_absorbing_state(GAINS):
 
 
 @recorded
+def good_hoppers(of_demonstrations):
+    """With the recipe four of five hoppers return 140 to 152 % of what the
+    demonstrations do, and without its loss none more than 13."""
+    ends = [
+        _read(f"what-decides-demo/Hopper-{loss}-fixed-short").returns[:, -1]
+        for loss in ("released", "exact")
+    ]
+    good, bad = (
+        sorted((end / of_demonstrations("Hopper")).round()) for end in ends
+    )
+    assert good[1:] == [140, 141, 146, 152]
+    assert bad[-1] == 13
+
+
+@recorded
 def larger_networks(GAINS):
     """Larger networks help HalfCheetah and CustomAnt, and make no clear
     difference on Hopper and Walker2d."""
@@ -372,7 +387,7 @@ def who_arrives(maze, WAYS, HELP, COOL):
 @recorded
 def the_purple_mark(cool, arrives):
     """The purple mark is after 20,000 steps; at its temperature no gate
-    arrives after the short warm-up."""
+    arrives after the short warm-up, of eight primitives within 15,000."""
     assert _read(cool).steps[-1] == 20_000
     for k in (4, 8):
         folder = f"maze-retraining-full/{k}-gate-cool"
@@ -381,6 +396,7 @@ def the_purple_mark(cool, arrives):
         assert config.schedule.warmup_steps == 100
         assert len(arrives(folder)) == SEEDS
         assert not arrives(folder).any()
+    assert _read(folder).steps[-1] == 15_000
 
 
 @recorded

@@ -8,6 +8,8 @@ from IPython.display import HTML
 import drawing
 import plots
 from offairl_lite.analysis.statistics import difference, success_rate
+from offairl_lite.runs import records
+from paper_claims import BAR
 from paper_verdicts import (
     CONFIRMED,
     CONFOUNDED,
@@ -105,10 +107,13 @@ def evidence(arrived, FOUND, recipe, step, larger):
     """Return what speaks for each claim, or against it."""
     (eight, sac), (guided, alone) = arrived(7), arrived(8, 2)
     gate, gate_alone = arrived(8, 4)
+    early = records.read(RECORDS / "maze-retraining-full/policy")
+    early = early.returns[:, early.steps <= 40_000][:, -1] > BAR
     four, gate_of_eight = (c.scale.split("× ")[1] for c in FOUND[6])
     EVIDENCE = {
-        4: f"{arrived(4)[0]} of {SEEDS} old policies find the new way "
-        "within 100,000 steps. The others stay in the trap.",
+        4: f"Of {SEEDS} old policies {early.sum()} find the new way "
+        f"within 40,000 steps, and {arrived(4)[0]} within 100,000. The "
+        "others stay in the trap.",
         6: "After a short warm-up none of ten gates arrives: neither over "
         f"four primitives, within {four} steps, nor over eight, within "
         f"{gate_of_eight}.",
@@ -277,49 +282,43 @@ def _decides(gains):
 def what_choices_add(at_the_end, CHOICES, GAINS, *, deciding):
     """Draw what choices add, those that decide or the rest.
 
-    There is a panel for each robot and a row for each choice.
+    There is a heading for each choice, and a row below it for each robot.
     """
     shown = [c for c in GAINS if _decides(GAINS[c]) == deciding]
-    steps = {
-        choice: [*{at_the_end(p)[0]: 0 for p in CHOICES[choice].values()}]
-        for choice in shown
-    }
-    robots = [robot for robot in LOOKS if robot != "DisabledAnt"]
-    zero = {"color": plots.GREY, "linewidth": 0.8, "zorder": 1}
+    rows = len(shown) + sum(len(GAINS[choice]) for choice in shown)
     with plots.style():
-        fig, axes = plt.subplots(
-            1,
-            len(robots),
-            figsize=(5.4, 0.75 + 0.6 * len(shown)),
-            sharey=True,
+        fig, ax = plt.subplots(
+            figsize=(4.8, 0.7 + 0.24 * rows + 0.12 * len(shown))
         )
-        for ax, robot in zip(axes, robots, strict=True):
-            ax.set_title(robot, color=LOOKS[robot][0])
-            ax.set(xlim=(-50, 245), xticks=[0, 100], yticks=[])
-            ax.tick_params(length=0)
-            ax.grid(visible=False)
-            ax.spines[:].set_visible(False)
-            ax.patch.set_visible(False)
-        for row, choice in enumerate(shown):
-            y = 1.15 * row
-            _line(axes[0], y, choice.replace("\n", " "))
-            if steps[choice] != [100_000]:
-                text = " / ".join(f"{k // 1000}k" for k in steps[choice])
-                _line(axes[-1], y, text, 1, ha="right", color=plots.GREY)
+        y, names = 0.0, {}
+        for choice in shown:
+            _line(ax, y, choice.replace("\n", " "), weight="bold")
+            steps = {at_the_end(p)[0]: 0 for p in CHOICES[choice].values()}
+            if [*steps] != [100_000]:
+                text = " / ".join(f"{k // 1000}k" for k in steps)
+                _line(ax, y, text, 1, ha="right", color=plots.GREY)
             for robot, gain in GAINS[choice].items():
-                ax = axes[min([*LOOKS].index(robot), len(robots) - 1)]
-                strip = y + 0.28, y + 0.82
-                ax.axhspan(*strip, color="#f2f2f2", zorder=0)
-                ax.plot([0, 0], strip, "-", **zero)
-                _gain(ax, y + 0.55, robot, gain)
-        axes[0].set_ylim(y + 0.9, -0.4)
+                y += 1
+                names[y] = robot
+                _gain(ax, y, robot, gain)
+            y += 1.5
+        ax.set(xlim=(-50, 225), xticks=[0, 50, 100, 150])
+        ax.set_ylim(y - 0.8, -0.7)
+        ax.set_yticks([*names], names.values())
+        for label, robot in zip(
+            ax.get_yticklabels(), names.values(), strict=True
+        ):
+            label.set_color(LOOKS[robot][0])
+        ax.tick_params(length=0)
+        ax.grid(visible=False)
+        ax.spines[:].set_visible(False)
         text = "what it adds, % of the demonstrations' return"
         fig.supxlabel(text, fontsize=10)
         plt.show()
 
 
-def _line(ax, y, text, at=0, color="black", **look):
-    """Write over the panels, beginning or ending at the edge of one."""
+def _line(ax, y, text, at=-0.26, color="black", **look):
+    """Write a heading over the rows of a choice, or at its end."""
     ax.text(
         at,
         y,
@@ -335,20 +334,23 @@ def _line(ax, y, text, at=0, color="black", **look):
 def _gain(ax, y, robot, gain):
     """Draw a difference with its interval; hollow if it may be nothing.
 
-    Its number stands at the right end of the strip.
+    A clear one of less than 5 % is pale. The number stands at the right.
     """
     middle, low, high = gain
     color, marker = LOOKS[robot]
-    clear = low > 0 or high < 0
+    clear, pale = low > 0 or high < 0, abs(middle) < 5
     text = f"{round(middle) + 0:+}".replace("-", "−").replace("+0", "0")
-    ink = color if clear else plots.GREY
-    ax.text(240, y, text, color=ink, fontsize=9, ha="right", va="center")
-    ax.plot([low, high], [y, y], color=color, alpha=0.5 if clear else 0.3)
-    fill = {"ms": 7, "mec": "white"} if clear else {"ms": 6, "mfc": "white"}
-    ax.plot(middle, y, marker, color=color, mew=1.2, zorder=3, **fill)
-    if robot == "DisabledAnt":
-        name = {"color": color, "fontsize": "small", "va": "center"}
-        ax.text(-58, y, robot, ha="right", in_layout=False, **name)
+    ink = color if clear and not pale else plots.GREY
+    strip = y - 0.42, y + 0.42
+    ax.axhspan(*strip, color="#f2f2f2", zorder=0)
+    ax.plot([0, 0], strip, color=plots.GREY, lw=0.8, zorder=1)
+    ax.text(222, y, text, color=ink, ha="right", va="center")
+    faint = 0.35 if pale and clear else 1
+    line = {"alpha": 0.5 if clear and not pale else 0.3, "lw": 2}
+    ax.plot([low, high], [y, y], color=color, **line)
+    fill = {"ms": 9, "mec": "white"} if clear else {"ms": 7, "mfc": "white"}
+    look = {"mew": 1.2, "zorder": 3, "alpha": faint}
+    ax.plot(middle, y, marker, color=color, **look, **fill)
 
 
 def arrivals(maze):

@@ -121,8 +121,8 @@ TOYS = {
         ["mazes"],
         "Change the second film: drag its wall, wet its floor, turn its "
         "controls. Then ask for other rewards that fit both films (the "
-        "colours of the new maze): do they still lead through the door, "
-        "wherever you drag it?",
+        "greens of the new maze): do they still lead through the door to "
+        "the star, wherever you drag it?",
         "Three mazes: two films of an expert that goes round a wall, the "
         "second on a wet floor, and a new maze, coloured by the reward "
         "learned from both. The way planned on it leads through the door "

@@ -192,6 +192,7 @@ def hills_and_marshes(values, hill_and_marsh, explained, kept):
                 name,
                 span(steep[name]),
                 span(sunk[name], 2),
+                span(c / b, 2) if b.min() > 0 else "–",
                 number(100 * np.median(fit[name]), 0),
                 span(dry[name]),
             )
@@ -202,11 +203,13 @@ def hills_and_marshes(values, hill_and_marsh, explained, kept):
 def suspects(truth, rows):
     """Return the table of slopes and depths."""
     true_b, true_c = (number(k / truth.std(), 1) for k in (1, MARSH_COST))
-    rows.append(("true reward", true_b, true_c, "100", ""))
+    true_depth = number(MARSH_COST, 2)
+    rows.append(("true reward", true_b, true_c, true_depth, "100", ""))
     head = [
         "learned by",
         "hill<br>b",
         "marsh<br>c",
+        "depth<br>in m",
         "fit<br>in %",
         "steps in<br>marsh",
     ]
