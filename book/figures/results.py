@@ -113,7 +113,7 @@ def evidence(arrived, FOUND, recipe, step, larger):
     EVIDENCE = {
         4: f"Of {SEEDS} old policies {early.sum()} find the new way "
         f"within 40,000 steps, and {arrived(4)[0]} within 100,000. The "
-        "others stay in the trap.",
+        "others stay in the trap. The variance itself is not tested.",
         6: "After a short warm-up none of ten gates arrives: neither over "
         f"four primitives, within {four} steps, nor over eight, within "
         f"{gate_of_eight}.",
