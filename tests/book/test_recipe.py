@@ -153,6 +153,12 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt"):
         means = [int(mean("4", robot, m)) for m in ("clone", "airl", "airl-warm", "sqil")]
         assert f"| {robot} | {' | '.join(map(str, means))} |" in PAGE
+        sizes = [len(cells["4", robot, m].ends) for m in ("clone", "airl", "airl-warm", "sqil")]
+        assert sizes == [10, 5, 5, 5]
+        returns = records.read_json(demonstrations.EXPERTS / f"{robot}.json")["returns"]
+        assert max(returns) > returns[0]
+    worst = cells["4", "HalfCheetah", "airl-warm"].ends.min()
+    assert f"its worst seed from a clone ended at {worst:.0f} %" in text
 
 
 def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
@@ -215,7 +221,7 @@ def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
     (first,) = [command for command in commands() if command.endswith("--out runs/arm")]
     for options in inline:
         added = parsed(f"offairl run {options}")[2]
-        known = SETTINGS | GIVEN | {"scale", "step"}
+        known = SETTINGS | GIVEN | {"scale", "step", "absorbing_state"}
         assert added.keys() <= known, options
         if all(added.values()) and added.keys() <= SETTINGS - {"pretrained"}:
             _, (experiment,), there = parsed(first)
