@@ -685,9 +685,39 @@ def test_what_is_said_of_dac_beside_the_recipe():
         return recipe / dac
 
     assert 0.95 < ratio("HalfCheetah", 100_000) < 1.05
+    assert 0.95 < ratio("Hopper", 100_000) < 1.05
+    recipe, dac = (records.read(RECORDS / f"locomotion-demo/Hopper-{m}") for m in ("airl", "dac"))
+    halves = [run.returns[:, len(run.steps) // 2 :].mean(1) for run in (recipe, dac)]
+    assert 0.95 < interquartile_mean(halves[0]) / interquartile_mean(halves[1]) < 1.05
     assert min(ratio("Walker2d", 100_000), ratio("Walker2d", 500_000)) > 1.1
     assert ratio("CustomAnt", 100_000) < 0.9
     assert 0.95 < ratio("CustomAnt", 500_000) < 1.05
+
+
+def test_dac_is_ahead_on_walker2d_from_four(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "book"))
+    import benchmark_runs
+
+    cells = benchmark_runs.read()
+    assert benchmark_runs.clear(cells, "4", "airl", "dac") == ([], ["Walker2d"])
+    dac, recipe = (
+        benchmark_runs.summary(cells["4", "Walker2d", m].ends).mean for m in ("dac", "airl")
+    )
+    assert f"from four ahead, {dac:.0f} against {recipe:.0f} %" in PAGE
+
+
+def test_the_defaults_were_best_or_level():
+    for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt"):
+        place = RECORDS / "what-decides-demo"
+        recipe = records.read(place / f"{robot}-released-fixed-short").returns[:, -1]
+        for loss, temperature, warmup in (
+            ("exact", "fixed", "short"),
+            ("released", "one", "short"),
+            ("released", "learned", "short"),
+            ("released", "fixed", "long"),
+        ):
+            other = records.read(place / f"{robot}-{loss}-{temperature}-{warmup}").returns[:, -1]
+            assert difference(other, recipe)[1] < 0, (robot, loss, temperature, warmup)
 
 
 def wall(name):
