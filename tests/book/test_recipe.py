@@ -800,6 +800,19 @@ def test_what_transfers():
     maze = records.read(RECORDS / "maze-retraining-full/scratch").returns[:, -1]
     assert len(maze) == 10
     assert (maze > -14).all()
+    assert "| AIRL | paper-size | 10,000 | 10 of 10 | not run |" in PAGE
+    rewards = RECORDS / "maze-transfer-rewards-demo"
+    kept = records.read(rewards / "implementation-4-released-and-airl/policy").returns[:, -1]
+    tried = {
+        "AIRL": (records.read(RECORDS / "maze-transfer-demo").returns[:, -1], kept[:5]),
+        "log-ratio": (
+            records.read(rewards / "released-and-airl/scratch").returns[:5, -1],
+            kept[5:10],
+        ),
+    }
+    for loss, ends in tried.items():
+        scratch, policy = (f"{(end > -14).sum()} of {len(end)}" for end in ends)
+        assert f"| {loss} | small | 3,000 | {scratch} | {policy} |" in PAGE
     whole, velocity, true = (
         records.read(RECORDS / "decides-transfer-demo" / reward / "scratch").returns[:, -1].round()
         for reward in ("state", "velocity", "true")
