@@ -2,7 +2,7 @@
 
 The run is the recipe's on Hopper.
 
-.venv/bin/python book/_static/curve.py
+.venv/bin/python book/_static/run.py
 """
 
 import shutil
@@ -18,4 +18,4 @@ with TemporaryDirectory() as folder:
     copy = Path(folder) / "hopper"
     shutil.copytree(RUN, copy)
     pictures.draw(copy)
-    shutil.copy(copy / records.PICTURE, BOOK / "_static/curve.png")
+    shutil.copy(copy / records.PICTURE, BOOK / "_static/run.png")
