@@ -378,8 +378,8 @@ def advice(cells: Cells) -> list[str]:
     waiting = [name for name, (_, known) in answers.items() if not known]
     if waiting:
         sentences.append(
-            f"**Not known yet:** what is best {_listed(waiting)}; not all "
-            "of the cells that would tell are there."
+            f"**Not known yet:** what is best {'; '.join(waiting)}. Not "
+            "all of the cells that would tell are there."
         )
     return sentences
 
@@ -710,14 +710,15 @@ COLORS = {
 
 
 def draw(cells: Cells) -> Figure:
-    """Draw four demonstrations, a panel for each robot.
+    """Draw four demonstrations: a panel for each robot, one for four.
 
-    A method without a record has no row.
+    The last is the average over the robots that most methods have been
+    run on. A method without a record has no row.
     """
     pairs = ROBOTS[:2], ROBOTS[2:4], ROBOTS[4:]
     methods = [
         [m for m in METHODS if any(("4", r, m) in cells for r in robots)]
-        for robots in pairs
+        for robots in (*pairs[:2], ROBOTS)
     ]
     fig, axes = plt.subplots(
         len(pairs),
@@ -734,8 +735,21 @@ def draw(cells: Cells) -> Figure:
         )
     for ax in (axes[1, 1], axes[2, 0]):
         ax.set_xlabel("% of the expert")
-    axes[-1, -1].axis("off")
+    axes[-1, -1].set_xlabel("% of the expert")
+    _average_panel(axes[-1, -1], cells, methods[-1])
     return fig
+
+
+def _average_panel(ax: Axes, cells: Cells, methods: Sequence[str]) -> None:
+    """Draw averages over the first four robots, with their intervals."""
+    ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
+    for y, method in enumerate(methods):
+        keys = [("4", robot, method) for robot in ROBOTS[:4]]
+        if not set(keys) <= set(cells):
+            continue
+        ends = [cells[key].ends for key in keys]
+        _mark(ax, y, COLORS[method], *lead(ends, [np.zeros(1)] * 4))
+    _frame(ax, "average of the four above", len(methods))
 
 
 def _panel(
@@ -750,20 +764,26 @@ def _panel(
     for y, method in enumerate(methods):
         if (cell := cells.get(("4", robot, method))) is None:
             continue
-        mean, low, high, worst = summary(cell.ends)
-        color = COLORS[method]
-        ax.plot([low, high], [y, y], color=color, lw=2, alpha=0.6)
-        ax.plot(mean, y, "o", color=color, ms=6)
-        ax.plot(worst, y, "|", color=color, ms=9, mew=1.5)
-        ax.text(
-            1.02,
-            y,
-            str(round(mean)),
-            transform=ax.get_yaxis_transform(),
-            va="center",
-        )
-    ax.set(xlim=(-8, 118), ylim=(len(methods) - 0.4, -0.6), title=robot)
-    ax.set_yticks(range(len(methods)), [""] * len(methods))
+        *numbers, worst = summary(cell.ends)
+        _mark(ax, y, COLORS[method], *numbers)
+        ax.plot(worst, y, "|", color=COLORS[method], ms=9, mew=1.5)
+    _frame(ax, robot, len(methods))
+
+
+def _mark(
+    ax: Axes, y: int, color: str, mean: float, low: float, high: float
+) -> None:
+    """Draw a mean with its interval, and print it beside the panel."""
+    ax.plot([low, high], [y, y], color=color, lw=2, alpha=0.6)
+    ax.plot(mean, y, "o", color=color, ms=6)
+    beside = ax.get_yaxis_transform()
+    ax.text(1.02, y, str(round(mean)), transform=beside, va="center")
+
+
+def _frame(ax: Axes, title: str, rows: int) -> None:
+    """Give a panel its title and its limits, without labels of rows."""
+    ax.set(xlim=(-8, 118), ylim=(rows - 0.4, -0.6), title=title)
+    ax.set_yticks(range(rows), [""] * rows)
     ax.grid(visible=False, axis="y")
 
 
