@@ -97,26 +97,26 @@ def airl_graph():
     """Draw how r, V and the policy make the logit."""
     with plt.rc_context({"font.size": 13}):
         diagram(
-            (7.0, 2.4),
+            (4.6, 4.9),
             {
-                "s": (0.3, 2.05, "$s$"),
-                "next": (0.3, 1.05, "$s'$"),
-                "r": (1.75, 2.05, r"$r_\psi(s)$", plots.REWARD),
+                "s": (0.9, 4.5, "$s$"),
+                "next": (2.7, 4.5, "$s'$"),
+                "r": (0.9, 3.5, r"$r_\psi(s)$", plots.REWARD),
                 "V": (
-                    1.75,
-                    1.05,
+                    2.7,
+                    3.5,
                     r"$V_\omega(s),\ V_\omega(s')$",
                     plots.PURPLE,
                 ),
-                "f": (3.4, 1.55, "$f$"),
+                "f": (1.5, 2.4, "$f$"),
                 "pi": (
                     3.4,
-                    0.35,
+                    2.4,
                     r"policy: $\log\ \pi(a\,|\,s)$",
                     plots.COPY,
                 ),
-                "logit": (4.8, 1.55, r"$\ell = f - \log\ \pi$"),
-                "D": (6.4, 1.55, r"$D = \sigma(\ell)$"),
+                "logit": (2.3, 1.4, r"$\ell = f - \log\ \pi$"),
+                "D": (2.3, 0.4, r"$D = \sigma(\ell)$"),
             },
             [
                 ("s", "r"),
