@@ -710,10 +710,10 @@ COLORS = {
 
 
 def draw(cells: Cells) -> Figure:
-    """Draw four demonstrations: a panel for each robot, one for four.
+    """Draw four demonstrations: a panel for each robot, one for all.
 
-    The last is the average over the robots that most methods have been
-    run on. A method without a record has no row.
+    The last is the average of the methods that all robots have been run
+    with. A method without a record has no row.
     """
     pairs = ROBOTS[:2], ROBOTS[2:4], ROBOTS[4:]
     methods = [
@@ -741,15 +741,15 @@ def draw(cells: Cells) -> Figure:
 
 
 def _average_panel(ax: Axes, cells: Cells, methods: Sequence[str]) -> None:
-    """Draw averages over the first four robots, with their intervals."""
+    """Draw averages over the robots, with their intervals."""
     ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
     for y, method in enumerate(methods):
-        keys = [("4", robot, method) for robot in ROBOTS[:4]]
+        keys = [("4", robot, method) for robot in ROBOTS]
         if not set(keys) <= set(cells):
             continue
         ends = [cells[key].ends for key in keys]
-        _mark(ax, y, COLORS[method], *lead(ends, [np.zeros(1)] * 4))
-    _frame(ax, "average of the four above", len(methods))
+        _mark(ax, y, COLORS[method], *lead(ends, [np.zeros(1)] * len(ends)))
+    _frame(ax, "average of the five", len(methods))
 
 
 def _panel(
