@@ -380,7 +380,7 @@ def against_the_equal_clone(cells):
 def state_only_dac_so_far(cells):
     """With four demonstrations state-only DAC comes to 80, 42 and 59 % on
     Hopper, Walker2d and HalfCheetah, the recipe to 88, 23 and 50; on the
-    last two it is clearly ahead, and from DAC it hardly differs."""
+    last two it is clearly ahead. No difference from DAC is clear."""
     for method, percents in (
         ("state-dac", [80, 42, 59]),
         ("airl", [88, 23, 50]),
