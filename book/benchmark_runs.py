@@ -790,7 +790,7 @@ def _frame(ax: Axes, title: str, rows: int) -> None:
 def draw_clones(cells: Cells) -> Figure:
     """Draw clones by the number of demonstrations, a line for a robot.
 
-    Between four and fifty nobody was cloned: that is where most have
+    Nothing was measured between four and fifty, where most people have
     their recordings.
     """
     counts = [int(count) for count in COUNTS]
