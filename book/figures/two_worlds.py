@@ -7,37 +7,68 @@ import numpy as np
 from IPython.display import HTML
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
 from numpy import ndarray as Array
 
 import plots
 from drawing import EDGE, table
 from grid_worlds import CELLS, dense
+from offairl_lite import tabular
 from offairl_lite.tabular import MDP, soft_value_iteration
 
 ALPHA = 0.05
+# The colours of the toy of this chapter, on light pages.
+WALL = "#f2545b"
+TOY_MAP = LinearSegmentedColormap.from_list(
+    "toy",
+    ["#f6f3ff", "#dcf6ea", "#9ee8cb", "#45cda6", "#0aa587", "#00756a"],
+)
+GOAL = divmod(int(tabular.maze(CELLS, "Left").reward.argmax()), CELLS)[::-1]
+
+
+def _squares(ax: Axes, reward: Array) -> None:
+    """Paint a reward of the squares, or triangles of the moves from them.
+
+    They are paths, not an image: on a dark page they are turned, as the
+    toys are, and bright is high there.
+    """
+    shade = (reward - reward.min()) / np.ptp(reward)
+    look = {"cmap": TOY_MAP, "edgecolors": "face", "lw": 0.2}
+    at = np.stack(np.divmod(np.arange(CELLS**2), CELLS)[::-1], 1)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+    if reward.ndim == 1:
+        patches = at[:, None] + corners
+    else:  # right, up, left, down, and staying in the middle
+        pairs = [np.roll(corners, -k, 0)[:2] for k in (1, 2, 3, 0)]
+        moves = [np.vstack([pair, (0, 0)]) for pair in pairs]
+        patches = [at[:, None] + move for move in (*moves, corners / 2.5)]
+        patches = [patch for part in patches for patch in part]
+        shade = shade[:, [1, 2, 3, 4, 0]].T
+    cells = PolyCollection(patches, **look)
+    cells.set_array(np.ravel(shade))
+    ax.add_collection(cells)
 
 
 def draw_world(
-    ax: Axes, mdp: MDP, reward: Float[Array, "S"], color: str, policy: Array
+    ax: Axes, mdp: MDP, reward: Array, color: str, policy: Array
 ) -> None:
-    """Draw walls, a reward of the squares and the policy's likely way."""
-    grid = reward.reshape(CELLS, CELLS)
-    look = {"origin": "lower", "cmap": plots.REWARD_MAP, "vmin": -0.6}
-    ax.imshow(grid - grid.max(), **look)
+    """Draw walls, a reward and the policy's likely way, as the toy does."""
+    _squares(ax, reward)
     p = dense(mdp).max(1)  # the likeliest action that leads there
     for low in range(CELLS * (CELLS - 1)):
         if p[low, low + CELLS] == 0:
             row, column = divmod(low, CELLS)
             ends = [column - 0.5, column + 0.5]
-            ax.plot(ends, [row + 0.5] * 2, color="black", lw=5)
+            ax.plot(ends, [row + 0.5] * 2, color=WALL, lw=4)
     way = _way(mdp, policy)
     ax.plot(*way.T, color=color, lw=2.5, path_effects=EDGE, zorder=3)
     at = {"mec": "black", "zorder": 4, "ls": ""}
     ax.plot(*way[0], marker="o", color="white", ms=7, **at)
     ax.plot(*way[-1], marker="o", color=color, ms=8, **at)
-    goal = divmod(int(reward.argmax()), CELLS)[::-1]
-    ax.plot(*goal, marker="*", color=plots.STAR, ms=14, **at)
-    ax.set(xticks=[], yticks=[], xlim=(-0.5, CELLS - 0.5))
+    ax.plot(*GOAL, marker="*", color=plots.STAR, ms=14, **at)
+    ax.set(xticks=[], yticks=[], aspect="equal")
+    ax.set(xlim=(-0.5, CELLS - 0.5), ylim=(-0.5, CELLS - 0.5))
     ax.grid(False)
 
 
@@ -53,17 +84,22 @@ def _way(mdp: MDP, policy, steps=50) -> Array:
 def opening(
     shown: MDP, new: MDP, truth: Array, rewards: Mapping[str, Array]
 ) -> None:
-    """Draw the expert, and what learned rewards lead to in a new maze."""
-    size = 1 + len(rewards)
+    """Draw the expert's films, and what is planned on learned rewards."""
+    wet = tabular.maze(CELLS, "Left", slip=0.3).mdp
     with plots.style():
-        _, axes = plt.subplots(1, size, figsize=(5.6, 5.6 / size + 0.4))
-    expert = soft_value_iteration(shown, truth, ALPHA).policy
-    draw_world(axes[0], shown, truth, plots.EXPERT, expert)
-    axes[0].set_title("the expert's maze")
-    for ax, (name, r) in zip(axes[1:], rewards.items(), strict=True):
-        policy = soft_value_iteration(new, r, ALPHA).policy
-        draw_world(ax, new, truth, plots.AGENT, policy)
+        _, axes = plt.subplots(2, 2, figsize=(5.4, 5.9))
+    films = {"film 1: the dry floor": shown, "film 2: the wet floor": wet}
+    for ax, (name, mdp) in zip(axes[0], films.items(), strict=True):
+        expert = soft_value_iteration(mdp, truth, ALPHA).policy
+        draw_world(ax, mdp, truth, plots.EXPERT, expert)
         ax.set_title(name)
+    slipped = np.random.default_rng(0).random(CELLS**2) < 0.3
+    drops = np.divmod(np.flatnonzero(slipped), CELLS)[::-1]
+    axes[0, 1].plot(*drops, "o", color=plots.COPY, ms=5, alpha=0.7)
+    for ax, (name, r) in zip(axes[1], rewards.items(), strict=True):
+        policy = soft_value_iteration(new, r, ALPHA).policy
+        draw_world(ax, new, r, plots.AGENT, policy)
+        ax.set_title(f"learned {name}")
     plt.show()
 
 

@@ -67,22 +67,22 @@ def test_the_mirror_image_of_disabledant_has_weak_left_legs():
     assert legs == [[4, 4, 3, 3], [1, 1, 2, 2]]
 
 
-def test_the_table_of_the_third_maze_is_the_record_s():
+def test_the_page_counts_the_arrivals_in_the_third_maze():
     new = rollouts.read("third_maze")["new"]
     cells = json.loads((RECORDS.parent / "12_two_worlds.ipynb").read_text("utf-8"))["cells"]
     page = "".join("".join(cell["source"]) for cell in cells)
-
-    names = {
-        "none": "PointMazeLeft alone",
-        "turned": "two, turned controls",
-        "weak": "two, one with weak motors",
+    told = {
+        "r(s), none": (10, "On it all ten new agents arrive"),
+        "r(s), turned": (9, "and nine of ten on $r(s)$ of two worlds with turned controls"),
+        "r(s, a), none": (8, "On $r(s, a)$ it is 8 of 10 from one world, "),
+        "r(s, a), turned": (9, "9 with turned controls and "),
+        "r(s, a), weak": (7, "7 with weak motors"),
     }
-    for form, worlds in (key.split(", moved")[0].rsplit(", ", 1) for key in new if "moved" in key):
-        moved, mirrored = (
-            int((new[f"{form}, {worlds}, {maze}"] > -15).sum()) for maze in ("moved", "mirrored")
-        )
-        row = f"| ${form}$ of {names[worlds]} | {moved} of 5 | {mirrored} of 5 |"
-        assert row in page
+    assert {key.rsplit(", ", 1)[0] for key in new} == {*told}
+    for worlds, (arrive, text) in told.items():
+        ends = [new[f"{worlds}, {maze}"] for maze in ("moved", "mirrored")]
+        assert (np.concatenate(ends) > -15).sum() == arrive
+        assert text in page
 
 
 @pytest.mark.parametrize("form", third_maze.FORMS)
