@@ -274,6 +274,16 @@ def choices(ROBOTS, PAIRS):
     return CHOICES
 
 
+HEADINGS = {
+    "the log-ratio loss,\nnot the AIRL loss": (
+        "at temperature 0.2: log-ratio loss, not AIRL loss"
+    ),
+    "the same choice at\na temperature of 1": (
+        "at temperature 1: log-ratio loss, not AIRL loss"
+    ),
+}
+
+
 def _decides(gains):
     """Whether a choice is clearly worth more than half on some robot."""
     return any(low > 0 and middle > 50 for middle, low, _ in gains.values())
@@ -292,7 +302,8 @@ def what_choices_add(at_the_end, CHOICES, GAINS, *, deciding):
         )
         y, names = 0.0, {}
         for choice in shown:
-            _line(ax, y, choice.replace("\n", " "), weight="bold")
+            heading = HEADINGS.get(choice, choice.replace("\n", " "))
+            _line(ax, y, heading, weight="bold")
             steps = {at_the_end(p)[0]: 0 for p in CHOICES[choice].values()}
             if [*steps] != [100_000]:
                 text = " / ".join(f"{k // 1000}k" for k in steps)
@@ -357,31 +368,46 @@ def arrivals(maze):
     """Draw which seeds arrive: a panel a guide, a row a way of learning."""
     titles = (
         "no guide",
-        "the imitator\nguides",
-        "an expert of the\nnew maze guides",
+        "the imitator guides",
+        "an expert of the new maze guides",
     )
+    panels = {
+        helped: {
+            way: maze[way, helped] for way in WAYS if (way, helped) in maze
+        }
+        for helped in HELP
+    }
+    first = next(iter(panels))
+    held = "gate alone, 8, held,\nfixed temperature"
+    panels[first][held] = maze["gate alone, 8", COOL]
+    rows = [len(panel) for panel in panels.values()]
     with plots.style():
         _fig, axes = plt.subplots(
-            1, len(HELP), figsize=(5.4, 3.6), sharey=True, sharex=True
+            len(HELP),
+            1,
+            figsize=(4.2, 1.5 + 0.27 * sum(rows)),
+            height_ratios=rows,
+            sharex=True,
         )
-        for ax, title, (helped, (_, color, _marker)) in zip(
-            axes, titles, HELP.items(), strict=True
+        for ax, title, (helped, panel) in zip(
+            axes, titles, panels.items(), strict=True
         ):
-            ax.set_title(title, color=color, fontsize=10)
+            color = HELP[helped][1]
+            ax.set_title(title, color=color, fontsize=10, loc="left")
             ax.set(xlim=(-0.3, 12.3), xticks=[])
             ax.grid(visible=False)
             ax.spines[:].set_visible(False)
             ax.tick_params(length=0)
-            for i, way in enumerate(WAYS):
-                if (way, helped) in maze:
-                    _seeds(ax, i, maze[way, helped], color)
-        _seeds(
-            axes[0], len(WAYS), maze["gate alone, 8", COOL], plots.PURPLE
-        )
-        names = [*WAYS, "the same, held and\nat a fixed temperature"]
-        axes[0].set_yticks(range(len(names)), names)
+            for i, (way, seeds) in enumerate(panel.items()):
+                purple = plots.PURPLE if way == held else color
+                _seeds(ax, i, seeds, purple)
+            names = [
+                f"{way}, held" if way == "from scratch" else way
+                for way in panel
+            ]
+            ax.set_yticks(range(len(panel)), names)
+            ax.set_ylim(len(panel) - 0.4, -0.6)
         axes[0].get_yticklabels()[-1].set_color(plots.PURPLE)
-        axes[0].set_ylim(len(names) - 0.4, -0.6)
         plt.show()
 
 
@@ -399,7 +425,7 @@ def _seeds(ax, y, seeds, color):
     )
     for i in range(n):
         fill = color if i < count else "white"
-        ax.plot(i + 0.5, y, "o", ms=5, mfc=fill, mec=color, mew=0.8)
+        ax.plot(i + 0.5, y, "o", ms=6, mfc=fill, mec=color, mew=0.8)
     ax.text(n + 2.2, y, str(count), color=color, ha="right", va="center")
 
 

@@ -173,7 +173,7 @@ def marshes(drawn, paths):
 
 
 def hills_and_marshes(values, hill_and_marsh, explained, kept):
-    """Return slopes, depths, fits, wet steps and rows of the table."""
+    """Return slopes, depths, fits, wet steps and rows of the figure."""
     steep, sunk, fit = {}, {}, {}  # b and c, scaled, and what they explain
     dry = {}  # steps in the marsh, of the imitators
     unscaled = {}
@@ -187,33 +187,62 @@ def hills_and_marshes(values, hill_and_marsh, explained, kept):
         steep[name], sunk[name] = b / each.std(1), c / each.std(1)
         fit[name] = np.array([explained(reward) for reward in each])
         dry[name] = kept["marsh"][folder]["wet"]
-        rows.append(
-            (
-                name,
-                span(steep[name]),
-                span(sunk[name], 2),
-                span(c / b, 2) if b.min() > 0 else "–",
-                number(100 * np.median(fit[name]), 0),
-                span(dry[name]),
-            )
-        )
+        depth = c / b if b.min() > 0 else None
+        rows.append((sunk[name], steep[name], depth, dry[name]))
     return steep, sunk, fit, dry, unscaled, rows
 
 
 def suspects(truth, rows):
-    """Return the table of slopes and depths."""
-    true_b, true_c = (number(k / truth.std(), 1) for k in (1, MARSH_COST))
-    true_depth = number(MARSH_COST, 2)
-    rows.append(("true reward", true_b, true_c, true_depth, "100", ""))
-    head = [
-        "learned by",
-        "hill<br>b",
-        "marsh<br>c",
-        "depth<br>in m",
-        "fit<br>in %",
-        "steps in<br>marsh",
-    ]
-    return table(head, rows)
+    """Draw hill, marsh and depth of every reward, and the imitators."""
+    titles = (
+        "marsh, c",
+        "hill, b",
+        "depth, c / b (m)",
+        "steps in the marsh",
+    )
+    of_truth = (
+        *(k / truth.std() for k in (MARSH_COST, 1)),
+        MARSH_COST,
+        None,
+    )
+    with plots.style():
+        _fig, axes = plt.subplots(2, 2, figsize=(4.9, 7.2), sharey=True)
+        for ax, title, values, true in zip(
+            axes.flat,
+            titles,
+            zip(*rows, strict=True),
+            of_truth,
+            strict=True,
+        ):
+            for y, each in enumerate(values):
+                color = SHADES[list(SUSPECTS)[y].split()[0]]
+                if each is None:
+                    text = "one seed has no hill"
+                    ax.text(0.1, y, text, color=color, va="center")
+                    continue
+                spread = y + np.linspace(-0.2, 0.2, len(each))
+                ax.plot(each, spread, "o", color=color, ms=5, alpha=0.8)
+            if true is not None:
+                ax.axvline(true, color=plots.GREEN, ls="--", lw=1.6)
+            ax.set_title(title, fontsize=10)
+            ax.set_yticks(range(len(rows)), map(_short, SUSPECTS))
+            ax.set_ylim(len(rows) - 0.5, -0.5)
+            ax.set_xlim(min(0, ax.get_xlim()[0]))
+        plt.show()
+
+
+SHADES = {
+    "log-ratio": plots.BLUE,
+    "light": plots.BLUE,
+    "AIRL": plots.ORANGE,
+    "DAC,": plots.RED,
+    "PPO,": plots.PURPLE,
+}
+
+
+def _short(name):
+    """Return a row's name in two lines."""
+    return name.replace(", ", ",\n")
 
 
 def what_each_sees():
