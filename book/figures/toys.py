@@ -76,7 +76,8 @@ TOYS = {
     ),
     "products": Toy(
         [],
-        "Drag the two policies, their widths and the gate's weights.",
+        "Where must the two policies lie so that product and sum agree? "
+        "Drag them, their widths and the gate's weights.",
         "Two Gaussian policies over two actions, drawn as ellipses, one "
         "narrow and high, one flat and wide. Multiplied, they leave a "
         "round spot where the ellipses cross; added, a cross.",
