@@ -229,28 +229,28 @@ def third(
             2, 1, figsize=(5.4, 4.9), height_ratios=(6, 4)
         )
     rows = {
-        "r(s, a), none": "r(s, a), one maze",
-        "r(s, a), turned": "and controls turned",
-        "r(s, a), weak": "and weak motors",
-        "r(s), none": "r(s), one maze",
-        "r(s), turned": "and controls turned",
+        "r(s), none": "r(s) of Left alone",
+        "r(s), turned": "r(s), + turned controls",
+        "r(s, a), none": "r(s, a) of Left alone",
+        "r(s, a), turned": "r(s, a), + turned controls",
+        "r(s, a), weak": "r(s, a), + weak motors",
     }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
-        ("mirrored", plots.BLUE, 0.15, "mirrored, too"),
+        ("mirrored", plots.BLUE, 0.15, "and mirrored"),
     ):
         ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
         _strips(axes[0], ends, color, side, label)
     _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
     names = [*rows.values(), "true reward"]
-    _name_strips(axes[0], names, "return in the third maze")
+    _name_strips(axes[0], names, "return in PointMazeRight")
     axes[0].set_xticks((-25, -20, -15, -10))
     axes[0].legend(
-        handletextpad=0.1, loc="center", bbox_to_anchor=(0.5, 0.36)
+        handletextpad=0.1, loc="center", bbox_to_anchor=(0.45, 0.45)
     )
     ants = {
-        "one body": "able",
-        "two bodies": "both",
+        "whole state, one body": "able",
+        "whole state, two bodies": "both",
         "velocity alone": "velocity, able",
         "true reward": "true",
     }
@@ -259,7 +259,7 @@ def third(
         zip(ants.values(), colors, strict=True)
     ):
         _strips(axes[1], [bodies["new"][name]["true"]], color, first=y)
-    _name_strips(axes[1], [*ants], "return of the third body")
+    _name_strips(axes[1], [*ants], "return of DisabledAnt")
     plt.show()
 
 
