@@ -76,8 +76,9 @@ TOYS = {
     ),
     "products": Toy(
         [],
-        "Where must the two policies lie so that product and sum agree? "
-        "Drag them, their widths and the gate's weights.",
+        "Bring the star, the product's mean, to the middle: drag the two "
+        "policies, their widths or the gate's weights. What does the sum "
+        "do meanwhile?",
         "Two Gaussian policies over two actions, drawn as ellipses, one "
         "narrow and high, one flat and wide. Multiplied, they leave a "
         "round spot where the ellipses cross; added, a cross.",
