@@ -9,6 +9,7 @@ from scipy.special import log_softmax
 
 import plots
 from drawing import EDGE, bare, diagram, film, number, percent, table
+from figures.maxent_irl import likeliest_walk
 from offairl_lite import demonstrations, tabular
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.envs.models import GOAL, START
@@ -155,51 +156,52 @@ def against_predictions(learned, true_reward, expert):
     )
 
 
-def best_rewards(learned, opponents, mdp, maze):
-    """Draw the rewards of the best discriminators, and what they err by."""
-    names = list(opponents)[::2]  # the random policy, the expert
-    rewards = [learned[name][0] - learned[name][0].max() for name in names]
-    ratios = [learned[name][2] for name in names]
-    widest = np.abs(ratios[0]).max()
-    lowest = min(reward.min() for reward in rewards)
-    with plots.style(), plt.rc_context({"font.size": 13}):
-        fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.6))
-        for row, ratio, reward in zip(axes, ratios, rewards, strict=True):
-            left = plots.grid(row[0], ratio, "Left")
-            left.set(cmap="PuOr", clim=(-widest, widest))
-            right = plots.grid(row[1], reward, "Left")
-            right.set_clim(lowest, 0)
-            policy = soft_value_iteration(mdp, reward).policy
-            plots.few_arrows(row[1], policy, maze.positions)
+def best_rewards(learned, opponents, _mdp, _maze):
+    """Draw true rewards, plus errors, equals the rewards learned."""
+    *names, expert = opponents
+    truth = learned[expert][0]
+    widest = np.abs(learned[names[0]][2]).max()
+    lowest = np.ptp(learned[names[0]][0])
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        fig, axes = plt.subplots(2, 3, figsize=(6.4, 5.0))
+        for row, name in zip(axes, names, strict=True):
+            r, _, error = learned[name]
+            for ax, values in zip(row, (truth, error, r), strict=True):
+                image = plots.grid(ax, values - values.max(), "Left")
+                image.set_clim(-lowest, 0)
+                green = image
+            image = row[1].images[0]
+            image.set(data=error.reshape(image.get_array().shape))
+            image.set(cmap="PuOr", clim=(-widest, widest))
         bare(axes)
-        axes[0, 0].set_title(r"$\log\ (d_E / d_\pi)$")
-        axes[0, 1].set_title("the reward $r(s)$")
-        for ax, name in zip(
-            axes[:, 0], ("random policy", "expert"), strict=True
-        ):
-            ax.set_ylabel(f"against the {name}")
-        for image, column in ((left, axes[:, 0]), (right, axes[:, 1])):
-            below = {"location": "bottom", "shrink": 0.8, "pad": 0.02}
-            fig.colorbar(image, ax=column, **below)
+        titles = ("true reward", "+  error", "=  learned")
+        for ax, title in zip(axes[0], titles, strict=True):
+            ax.set_title(title)
+        for ax, name in zip(axes[:, 0], ("random", "better"), strict=True):
+            ax.set_ylabel(f"{name} policy")
+        below = {"location": "bottom", "pad": 0.03, "aspect": 12}
+        for column, shown in enumerate((green, image, green)):
+            ticks = (-2, 0, 2) if shown is image else (-10, -5, 0)
+            fig.colorbar(shown, ax=axes[:, column], ticks=ticks, **below)
         plt.show()
 
 
 def game(games):
     """Draw how the game converges for each step size."""
     colors = (plots.RED, plots.ORANGE, plots.BLUE, plots.GREEN)
-    with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.3), sharey=True)
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        _fig, axes = plt.subplots(1, 2, figsize=(6.4, 4.2), sharey=True)
         for (history, _), color in zip(games.values(), colors, strict=True):
             for ax, column in zip(axes, history.T, strict=True):
-                ax.plot(column, color=color)
+                ax.plot(column, color=color, lw=2.5)
                 ax.set(xlabel="round", yscale="log", ylim=(1e-5, 30))
         axes[0].set_title("distance of visits")
-        axes[1].set_title("largest error of the reward")
+        axes[1].set_title("error of the reward")
         for x, y, text, color in (
-            (30, 1.1, "η = 1", colors[0]),
-            (30, 0.06, "0.5", colors[1]),
-            (14, 1e-4, "0.2", colors[2]),
-            (43, 1.2e-3, "0.1", colors[3]),
+            (27, 1.3, "η = 1", colors[0]),
+            (27, 0.045, "η = 0.5", colors[1]),
+            (1, 4e-5, "η = 0.2", colors[2]),
+            (33, 3e-3, "η = 0.1", colors[3]),
         ):
             axes[0].text(x, y, text, color=color)
         plt.show()
@@ -218,16 +220,17 @@ def after_the_move(score):
 
 
 def entangled(rewards, new_policies, moved):
-    """Draw rewards and their policies where the wall has moved."""
-    with plots.style(), plt.rc_context({"font.size": 13}):
-        _fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.4))
+    """Draw rewards and what they lead to where the wall has moved."""
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        _fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.6))
         for ax, (name, value) in zip(
             axes.flat, rewards.items(), strict=True
         ):
             value = value if value.ndim == 1 else value.max(1)
             plots.grid(ax, value - value.max(), "Right")
-            policy = new_policies[name]
-            plots.few_arrows(ax, policy, moved.positions)
+            way = likeliest_walk(moved, new_policies[name]).T
+            look = {"lw": 3, "path_effects": EDGE, "zorder": 4}
+            ax.plot(*way, color=plots.AGENT, **look)
             ax.set_title(name)
         bare(axes)
         plt.show()
@@ -333,8 +336,8 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
 
 def blind(columns, LEFT, RIGHT):
     """Draw rewards and paths in both mazes."""
-    with plots.style():
-        _fig, axes = plt.subplots(2, 3, figsize=(6.6, 4.9))
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        _fig, axes = plt.subplots(2, 3, figsize=(6.6, 5.2))
         for pair, (name, (*runs, seed)) in zip(
             axes.T, columns.items(), strict=True
         ):

@@ -180,9 +180,9 @@ def gail_loop():
 
 def corridor():
     """Draw the corridor and its two experts."""
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         _fig, ax = plt.subplots(figsize=(7.2, 2.1))
-        ax.set(xlim=(-1.9, 8.6), ylim=(-0.95, 1.95), aspect="equal")
+        ax.set(xlim=(-2.0, 8.7), ylim=(-0.95, 1.95), aspect="equal")
         ax.axis("off")
         for room in range(7):
             paint = "#ffe9bf" if room == 3 else "#f2f2f2"
@@ -277,11 +277,11 @@ def distances(far, moved, REWARDS):
     """Return the table of distances from the experts."""
     return table(
         [
-            "distance after the game",
-            "A, from random",
-            "A, from perfect",
-            "B, from random",
-            "B, from perfect",
+            "distance",
+            "A, from<br>random",
+            "A, from<br>a copy",
+            "B, from<br>random",
+            "B, from<br>a copy",
         ],
         [
             (
@@ -334,14 +334,15 @@ def fitted_clouds():
 
 def penalty(fitted):
     """Draw the logit between two clouds."""
-    with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.6, 2.9))
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        _fig, ax = plt.subplots(figsize=(6.4, 4.0))
         for name, color in zip(
             fitted, (plots.RED, plots.GREEN), strict=True
         ):
             *clouds, x, logit = fitted[name]
-            ax.plot(x, logit, color=color)
-            ax.text(3.05, logit[-1], name, color=color, va="center")
+            ax.plot(x, logit, color=color, lw=2.5)
+            x, y = (-0.1, 7) if color == plots.RED else (2.9, -2)
+            ax.text(x, y, name, color=color, ha="right")
         for cloud, color, label in zip(
             clouds,
             (plots.COPY, plots.EXPERT),
@@ -349,10 +350,10 @@ def penalty(fitted):
             strict=True,
         ):
             ax.plot(
-                cloud[:, 0], 0 * cloud[:, 0] - 13, "|", color=color, ms=9
+                cloud[:, 0], 0 * cloud[:, 0] - 14, "|", color=color, ms=9
             )
             middle = cloud[:, 0].mean()
-            ax.text(middle, -11.9, label, color=color, ha="center")
+            ax.text(middle, -12.9, label, color=color, ha="center")
         ax.set(
             xlabel="x", ylabel="logit", xlim=(-3, 3), xticks=range(-3, 4)
         )
@@ -362,7 +363,7 @@ def penalty(fitted):
 def dac_training(NUM_ROUNDS, history, extent):
     """Draw paths and verdicts during the training."""
     shown = [0, 4, 9, NUM_ROUNDS - 1]
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 15}):
         fig, axes = plt.subplots(2, 2, figsize=(6.8, 6.2))
         for ax, k in zip(axes.flat, shown, strict=True):
             path, verdict = history[k]
@@ -387,20 +388,21 @@ def efficiency(RUNS, escape, median, paths):
     # The colours of the rewards are those of the corridor.
     paint = (plots.PURPLE, plots.ORANGE, plots.GREEN, plots.RED, plots.BLUE)
     LOOK = dict(zip(RUNS, paint, strict=True))
-    with plots.style():
-        fig = plt.figure(figsize=(7.2, 5.4))
-        above, below = fig.subfigures(2, 1, height_ratios=(1, 1.15))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        fig = plt.figure(figsize=(7.2, 5.8))
+        above, below = fig.subfigures(2, 1, height_ratios=(1.2, 1))
         ax = above.subplots()
         for row, (name, steps) in enumerate(escape.items()):
             ax.barh(row, median[name], 0.6, color=LOOK[name], alpha=0.55)
             spread = row + np.linspace(-0.2, 0.2, len(steps))
             ax.plot(steps, spread, "o", color=LOOK[name], ms=5, mec="white")
             ax.text(32_000, row, f"{median[name]:,.0f}", va="center")
-        ax.text(32_000, -0.85, "median", va="center")
+        ax.text(32_000, -0.9, "median", va="center")
         ax.set_yticks(range(len(RUNS)), labels=RUNS)
         ax.invert_yaxis()
         ax.grid(False, axis="y")
-        ax.set(xlim=(0, 35_500), xlabel="steps to escape")
+        ax.set(xlim=(0, 39_500), xlabel="steps to escape")
+        ax.set_xticks([0, 10_000, 20_000, 30_000])
         ax.xaxis.set_major_formatter("{x:,.0f}")
         mazes = below.subplots(1, 3)
         for ax, (name, obs) in zip(mazes, paths.items(), strict=True):
@@ -457,17 +459,18 @@ def hopping():
 
 def hopper_signs(hopping, expert_length):
     """Draw how long episodes of hoppers last."""
-    PLACES = dict(zip(HOPPERS, (430, 6.2, 10.5, 960), strict=True))
-    with plots.style():
-        _fig, ax = plt.subplots(figsize=(7.2, 3.4))
+    PLACES = dict(zip(HOPPERS, (240, 6.0, 11.5, 1150), strict=True))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        _fig, ax = plt.subplots(figsize=(7.2, 4.4))
         for name, (steps, lasted) in hopping.items():
             color = HOPPERS[name][1]
             ax.plot(steps, lasted.T, color=color, alpha=0.3, lw=0.7)
             ax.plot(steps, np.median(lasted, 0), color=color)
-            ax.text(102_000, PLACES[name], name, color=color, va="center")
+            look = {"color": color, "va": "center", "ha": "right"}
+            ax.text(99_000, PLACES[name], name, **look)
         ax.plot([10_000, 100_000], [expert_length] * 2, "k--", lw=1)
-        ax.text(102_000, 640, "demonstrations", va="center")
-        ax.set(yscale="log", ylim=(5, 1300), xlim=(10_000, 100_000))
+        ax.text(11_000, 760, "demonstrations", va="center")
+        ax.set(yscale="log", ylim=(5, 1600), xlim=(10_000, 100_000))
         ax.set(xlabel="environment steps", ylabel="steps an episode lasts")
         ax.set_xticks([20_000, 60_000, 100_000])
         ax.set_yticks([10, 100, 1_000], labels=["10", "100", "1,000"])
@@ -497,8 +500,8 @@ def chances(occupancy, ends_at):
 
 def replay(drift, shares, chances):
     """Draw what old steps in the replay do."""
-    with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.6, 3.1))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 4.2))
         for who, color in zip(
             drift, (plots.BLUE, plots.ORANGE), strict=True
         ):
@@ -506,16 +509,16 @@ def replay(drift, shares, chances):
             for y, line in zip(chances[who], ("-", "--"), strict=True):
                 axes[1].plot(100 * shares, y, line, color=color)
         for ax, x, y, text, color in (
-            (axes[0], 60, 0.08, "95 % expert", plots.BLUE),
-            (axes[0], 28, 0.24, "60 % expert", plots.ORANGE),
-            (axes[1], 30, 0.89, "95 %: last room", plots.BLUE),
-            (axes[1], 20, 0.7, "60 %: rooms 1 to 6", plots.ORANGE),
-            (axes[1], 18, 0.4, "60 %: last room", plots.ORANGE),
+            (axes[0], 40, 0.02, "95 % expert", plots.BLUE),
+            (axes[0], 15, 0.26, "60 % expert", plots.ORANGE),
+            (axes[1], 8, 0.87, "95 %: last room", plots.BLUE),
+            (axes[1], 8, 0.7, "60 %: rooms 1–6", plots.ORANGE),
+            (axes[1], 8, 0.4, "60 %: last room", plots.ORANGE),
         ):
             ax.text(x, y, text, color=color)
         axes[0].set(ylabel="distance from the expert", ylim=(0, 0.52))
-        axes[1].set(ylabel="share of steps to the right", ylim=(0, 1.04))
+        axes[1].set(ylabel="share of right moves", ylim=(0, 1.04))
         for ax in axes:
-            ax.set(xlabel="random steps in replay (%)", xlim=(0, 91))
+            ax.set(xlabel="random steps (%)", xlim=(0, 91))
             ax.set(xticks=range(0, 100, 20))
         plt.show()

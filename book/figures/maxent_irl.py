@@ -23,8 +23,8 @@ from offairl_lite.tabular import (
 OUTLINE = [effects.withStroke(linewidth=1.2, foreground="black")]
 
 
-def _walk(maze, policy, steps=80):
-    # The squares on the way of the most probable moves
+def likeliest_walk(maze, policy, steps=80):
+    """Return the squares on the way of the most probable moves."""
     state, way = int(maze.mdp.initial.argmax()), []
     go = (
         maze.mdp.transition.toarray()
@@ -77,7 +77,7 @@ def learning(cells, alpha, num_frames=14):
             image.set_data((reward - reward.max()).reshape(cells, cells))
             value = policy_return(maze.mdp, policy, true_reward)
             ax.set_title(f"{place}: return {value:.1f}".replace("-", "−"))
-            way = _walk(maze, policy).T
+            way = likeliest_walk(maze, policy).T
             edge.set_data(*way)
             line.set_data(*way)
         plural = "" if steps[i] == 1 else "s"
@@ -89,15 +89,16 @@ def learning(cells, alpha, num_frames=14):
 
 def experts(left, expert, right, expert_right, true_reward):
     """Draw the experts of both mazes over the true reward."""
-    with plots.style():
-        fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        fig, axes = plt.subplots(1, 2, figsize=(7.0, 4.5))
         shown = (("Left", left, expert), ("Right", right, expert_right))
         for ax, (side, maze, solution) in zip(axes, shown, strict=True):
             image = plots.grid(ax, true_reward, side)
             plots.few_arrows(ax, solution.policy, maze.positions)
             ax.set_title(f"wall on the {side.lower()}")
             ax.set_axis_off()
-        fig.colorbar(image, ax=axes, shrink=0.75, label="true reward (m)")
+        below = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.03}
+        fig.colorbar(image, ax=axes, label="true reward (m)", **below)
         plt.show()
 
 
@@ -121,12 +122,12 @@ def returns_of_experts(best_left, best_right, carried):
 def ranges(true_reward, shaped):
     """Draw a reward without and with a shaping, and their policies."""
     left = tabular.maze(round(len(true_reward) ** 0.5), "Left")
-    with plots.style():
-        fig, axes = plt.subplots(1, 2, figsize=(7.4, 4.2))
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        fig, axes = plt.subplots(1, 2, figsize=(7.0, 4.6))
         for ax, reward, name in zip(
             axes,
             (true_reward, shaped),
-            ("the true reward", "the same, shaped at random"),
+            ("the true reward", "shaped at random"),
             strict=True,
         ):
             shown = reward if reward.ndim == 1 else reward.mean(1)
@@ -187,25 +188,33 @@ def weights(fit, value_of, found_right, right, best_right):
     """Return the table of learned and true weights."""
     return drawing.table(
         (
-            "weights",
-            *(f"corner {k}" for k in (1, 2, 3, 4)),
-            "star",
-            "return, second maze",
+            "",
+            "learned",
+            "true",
         ),
         [
-            (name, *(number(w, 2) for w in weights), number(value))
-            for name, weights, value in (
-                ("learned", fit.weights, value_of(found_right, right)),
-                ("true", (0, 0, 0, 0, 1), best_right),
-            )
+            *(
+                (f"weight of {name}", number(w, 2), number(true, 2))
+                for name, w, true in zip(
+                    (*(f"corner {k}" for k in (1, 2, 3, 4)), "the star"),
+                    fit.weights,
+                    (0, 0, 0, 0, 1),
+                    strict=True,
+                )
+            ),
+            (
+                "return in the second maze",
+                number(value_of(found_right, right)),
+                number(best_right),
+            ),
         ],
     )
 
 
 def moved_wall(moved, right, value_of):
     """Draw what four rewards lead to where the wall has moved."""
-    with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(7.2, 7.9))
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        fig, axes = plt.subplots(2, 2, figsize=(6.6, 7.6))
         worst, best = (
             value_of(moved[name], right)
             for name in ("α log π", "true r(s)")
@@ -216,7 +225,13 @@ def moved_wall(moved, right, value_of):
             visits = occupancy(right.mdp, policy).sum(1)
             image = plots.grid(ax, visits, "Right")
             image.set(cmap="Purples_r", norm=PowerNorm(0.5, 0, 4))
-            plots.few_arrows(ax, policy, right.positions)
+            look = {
+                "lw": 3,
+                "path_effects": drawing.outline(3),
+                "zorder": 4,
+            }
+            way = likeliest_walk(right, policy).T
+            ax.plot(*way, color=plots.AGENT, **look)
             value = value_of(policy, right)
             ax.set_title(f"{name}: {percent(value, worst, best)}")
             ax.set_axis_off()
@@ -235,8 +250,8 @@ def moved_wall(moved, right, value_of):
 
 def along_the_way(best_left, best_right, curves, carried):
     """Draw the returns of rewards that the optimiser passes."""
-    with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.4), sharey=True)
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        _fig, axes = plt.subplots(1, 2, figsize=(7.0, 4.4), sharey=True)
         levels = {"first": best_left, "second": best_right}
         for ax, (place, level) in zip(axes, levels.items(), strict=True):
             for name, color, line in (
@@ -248,8 +263,8 @@ def along_the_way(best_left, best_right, curves, carried):
             ax.set(xlabel="steps of L-BFGS", title=f"{place} maze")
         plots.level(axes[1], carried, "old policy", plots.COPY)
         axes[0].set(ylabel="true return", ylim=(-14, -3))
-        axes[1].text(205, -5.5, "r(s)", color=plots.REWARD, ha="right")
-        axes[1].text(115, -7.4, "r(s, a)", color=plots.ORANGE)
+        axes[1].text(205, -5.9, "r(s)", color=plots.REWARD, ha="right")
+        axes[1].text(118, -7.6, "r(s, a)", color=plots.ORANGE)
         plt.show()
 
 
@@ -273,14 +288,14 @@ def two_colours(n):
 
 def chess_board(home, chess, moving, rested):
     """Draw policies with and without a chess board, and with rest."""
-    with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(7.2, 8.2))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        fig, axes = plt.subplots(2, 2, figsize=(6.6, 7.8))
         n, moves = 10, ((1, 0), (0, 1), (-1, 0), (0, -1))
         row, column = np.divmod(np.arange(n**2), n)
         rest = np.zeros((n**2, 1))
         before = [np.hstack([s.policy, rest]) for s in moving]
         policies = [*before, *(s.policy for s in rested)]
-        names = ("a reward", "the same, plus a chess board", "", "")
+        names = ("a reward", "plus a chess board", "", "")
         axes[0, 0].set_ylabel("no resting")
         axes[1, 0].set_ylabel("resting allowed")
         for ax, reward, policy, name in zip(
