@@ -786,6 +786,11 @@ def test_what_is_printed_is_of_the_records():
     run = records.read(RECORDS / "maze-transfer-demo")
     for seed, reached in zip(run.seeds, run.returns[:, -1], strict=True):
         assert f"    {seed}     8,000{reached:11.2f}\n" in PAGE
+    readme = (ROOT / "README.md").read_text()
+    (tried,) = re.findall(r"```bash\n(offairl .*?)```", readme, re.DOTALL)
+    require_command(tried.replace("\\\n", " "))
+    (shown,) = re.findall(r"```text\n.*?```", readme, re.DOTALL)
+    assert shown in PAGE
     config = records.read_json(RECORDS / "maze-transfer-demo/config.json")
     assert (config["experiment"], config["scale"]) == ("maze-transfer", "demo")
     exported = records.read(RECORDS / "maze-imitation-demo")
