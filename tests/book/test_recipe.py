@@ -429,6 +429,22 @@ def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
     env.close()
 
 
+def test_what_another_trainer_has_learned_is_recorded():
+    import rollouts
+    from rollouts import another_trainer
+
+    kept, text = rollouts.read("another_trainer"), " ".join(PAGE.split())
+    assert {len(ends) for ends in kept.values()} == {5}
+    whole, *without = (int((kept[left_out] > -14).sum()) for left_out in another_trainer.LINES)
+    assert whole == 5
+    noise, updates, scaled = (("none", "one", "two", "three", "four", "all")[n] for n in without)
+    said = f"Without the noise {noise} of five, without `train` {updates}, without `VecNormalize`"
+    assert f"{said} {scaled}." in text
+    ends = [f"{end:.1f}".replace("-", "−") for end in sorted(kept["nothing"])]
+    assert f"return between {ends[0]} and {ends[-1]} on the task's own reward" in text
+    assert all(another_trainer.program(left_out, 3) for left_out in another_trainer.LINES)
+
+
 def test_the_diagnostics_can_be_read(capsys):
     (block,) = [block for block in blocks("python") if "lengths" in block]
     run = RECORDS / "hopper-absorbing-demo/dac-bootstrap"
@@ -799,7 +815,9 @@ def test_what_is_printed_is_of_the_records():
     (last,) = (row for row in exported.rows if (row.seed, row.step) == (0, exported.steps[-1]))
     assert f"Member 0: seed 0, return {last.mean_return:.3f} at step {last.step:,}" in PAGE
     notes = (ROOT / "book/notes/index.md").read_text()
-    assert f"return {demonstrated('CustomAnt'):.2f} (from 460.28 to 2113.22)" in notes
+    ants = f"return {demonstrated('CustomAnt'):.2f} (from 460.28 to 2113.22)"
+    assert ants in notes
+    assert ants in PAGE
 
 
 def test_what_transfers():
