@@ -132,3 +132,20 @@ def test_commands_and_their_options_exist(page, capsys):
         shown = capsys.readouterr().out
         for option in options:
             assert not option.startswith("--") or option in shown, line
+
+
+def test_a_clone_of_the_maze_and_its_moved_wall(tmp_path, monkeypatch, capsys):
+    """The recipe's two commands print what is shown, as nearly as another processor gives it."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "book/recipe.md").read_text()
+    text = page[page.index("{admonition} Try it") :].split("\n:::")[0].replace("\\\n", " ")
+    for command in re.findall(r"(?m)^offairl (.*)$", text):
+        cli.main(shlex.split(command))
+    returns = r"return (-[\d.]+)|seed \d: (-[\d.]+)"
+    said, found = (
+        [float(a or b) for a, b in re.findall(returns, each)]
+        for each in (text, capsys.readouterr().out)
+    )
+    assert len(said) == len(found) == 5
+    assert all(abs(one - other) < 3 for one, other in zip(said, found, strict=True))

@@ -52,16 +52,16 @@ def draw(folder: Path) -> None:
         panels.pop(LEARNED, None)
     if not panels:
         return
-    below = [title for title in panels if title != RETURN]
-    mosaic: Any = [[RETURN] * (len(below) or 1)] * (RETURN in panels) + [below] * bool(below)
+    names = [*panels, *list(panels)[len(panels) - len(panels) % 2 :]]  # two in a row, for phones
+    mosaic: Any = [names[i : i + 2] for i in range(0, len(names), 2)]
     with plots.style():
         # Where panels and margins are is said here: to find it out would double the time it takes.
         height = 2.5 * len(mosaic) + 0.8
-        figure = Figure(figsize=(9, height), dpi=80)
+        figure = Figure(figsize=(6, height), dpi=120)
         figure.set_layout_engine("none")
         canvas = FigureCanvasAgg(figure)
-        edges = {"left": 0.07, "right": 0.98, "bottom": 0.75 / height, "top": 1 - 0.75 / height}
-        places = figure.subplot_mosaic(mosaic, gridspec_kw={**edges, "hspace": 0.5, "wspace": 0.25})
+        edges = {"left": 0.09, "right": 0.97, "bottom": 0.75 / height, "top": 1 - 0.75 / height}
+        places = figure.subplot_mosaic(mosaic, gridspec_kw={**edges, "hspace": 0.55, "wspace": 0.3})
         for title, axes in places.items():
             for i, ((_, *rows), y) in enumerate(zip(members, panels[title], strict=True)):
                 x, dash = [row.step for row in rows], ".--" if i % 10 > 4 else ".-"
@@ -71,11 +71,11 @@ def draw(folder: Path) -> None:
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if len(run.seeds) <= 10:
             seeds = axes.get_legend_handles_labels()
-            figure.legend(*seeds, loc="lower center", ncols=10, columnspacing=1, handlelength=1.5)
+            figure.legend(*seeds, loc="lower center", ncols=5, columnspacing=1, handlelength=1.5)
         failed = f"; diverged: {', '.join(map(str, run.diverged))}" if run.diverged else ""
         step, total = (f"{n:,}" for n in (run.steps[-1], run.config.total_steps))
         name = f"{folder.absolute().name} on {run.config.env_id}"
-        figure.suptitle(f"{name}: step {step} of {total}{failed}")
+        figure.suptitle(f"{name}: step {step} of {total}{failed}", wrap=True)
         canvas.draw()
     # Few colours will do, and make the file a third as large.
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(64)

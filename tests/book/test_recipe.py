@@ -231,7 +231,7 @@ def test_options_in_the_text_exist_and_can_be_added_to_the_first_command():
 
 def test_the_table_of_settings_is_what_the_experiment_has():
     """As defaults at both scales, but for two rows, which are to be given."""
-    section = PAGE.split("## The settings, and why")[1].split("\n## ")[0]
+    section = PAGE.split("## What does each setting do?")[1].split("\n## ")[0]
     rows = set(re.findall(r"(?m)^\| `(--[^`]+)` \|", section))
     to_give = {"--absorbing bootstrap", "--train-every 1000"}
     assert to_give < rows
@@ -429,6 +429,22 @@ def test_another_trainer_is_paid_by_a_learned_reward(sb3, monkeypatch):
     env.close()
 
 
+def test_what_another_trainer_has_learned_is_recorded():
+    import rollouts
+    from rollouts import another_trainer
+
+    kept, text = rollouts.read("another_trainer"), " ".join(PAGE.split())
+    assert {len(ends) for ends in kept.values()} == {5}
+    whole, *without = (int((kept[left_out] > -14).sum()) for left_out in another_trainer.LINES)
+    assert whole == 5
+    noise, updates, scaled = (("none", "one", "two", "three", "four", "all")[n] for n in without)
+    said = f"Without the noise {noise} of five, without `train` {updates}, without `VecNormalize`"
+    assert f"{said} {scaled}." in text
+    ends = [f"{end:.1f}".replace("-", "−") for end in sorted(kept["nothing"])]
+    assert f"return between {ends[0]} and {ends[-1]} on the task's own reward" in text
+    assert all(another_trainer.program(left_out, 3) for left_out in another_trainer.LINES)
+
+
 def test_the_diagnostics_can_be_read(capsys):
     (block,) = [block for block in blocks("python") if "lengths" in block]
     run = RECORDS / "hopper-absorbing-demo/dac-bootstrap"
@@ -439,9 +455,11 @@ def test_the_diagnostics_can_be_read(capsys):
 
 def test_a_good_run_and_a_failed_one_print_what_the_page_shows(monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
-    (code,) = (block for block in blocks("python") if "for name in (" in block)
-    exec(code, {})
-    assert f"```text\n{capsys.readouterr().out}```" in PAGE
+    shown = [b for b in blocks("python") if "for name in (" in b or "for run in (" in b]
+    assert len(shown) == 2
+    for code in shown:
+        exec(code, {})
+        assert f"```text\n{capsys.readouterr().out}```" in PAGE
 
 
 def test_the_policy_acts(tmp_path, monkeypatch):
@@ -786,13 +804,20 @@ def test_what_is_printed_is_of_the_records():
     run = records.read(RECORDS / "maze-transfer-demo")
     for seed, reached in zip(run.seeds, run.returns[:, -1], strict=True):
         assert f"    {seed}     8,000{reached:11.2f}\n" in PAGE
+    readme = (ROOT / "README.md").read_text()
+    (tried,) = re.findall(r"```bash\n(offairl .*?)```", readme, re.DOTALL)
+    require_command(tried.replace("\\\n", " "))
+    (shown,) = re.findall(r"```text\n.*?```", readme, re.DOTALL)
+    assert shown in PAGE
     config = records.read_json(RECORDS / "maze-transfer-demo/config.json")
     assert (config["experiment"], config["scale"]) == ("maze-transfer", "demo")
     exported = records.read(RECORDS / "maze-imitation-demo")
     (last,) = (row for row in exported.rows if (row.seed, row.step) == (0, exported.steps[-1]))
     assert f"Member 0: seed 0, return {last.mean_return:.3f} at step {last.step:,}" in PAGE
     notes = (ROOT / "book/notes/index.md").read_text()
-    assert f"return {demonstrated('CustomAnt'):.2f} (from 460.28 to 2113.22)" in notes
+    ants = f"return {demonstrated('CustomAnt'):.2f} (from 460.28 to 2113.22)"
+    assert ants in notes
+    assert ants in PAGE
 
 
 def test_what_transfers():

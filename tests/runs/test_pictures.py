@@ -59,7 +59,7 @@ def test_it_shows_what_the_recipe_says_to_look_at(tmp_path, panels, drawn):
     path = folder / "curve.png"
     assert path.stat().st_size < 60_000
     with Image.open(path) as picture:
-        assert picture.size == (720, 464)
+        assert picture.size == (720, 696)
     assert not plt.get_fignums()
     assert not (folder / "curve.png.part").exists()
 
