@@ -198,7 +198,7 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
     """Draw returns, the learned reward and last paths."""
     with plots.style():
         fig, axes = plt.subplots(
-            1, 2, figsize=(7.4, 3.4), width_ratios=(5, 4)
+            2, 1, figsize=(4.8, 6.0), height_ratios=(4, 6)
         )
         steps, values = np.transpose(curve)
         axes[0].plot(steps / 1_000, values, "o-", color=plots.COPY, ms=3)

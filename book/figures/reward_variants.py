@@ -230,22 +230,22 @@ def crossed(WORDS, counted):
     """Return the table of seeds that arrive, by loop and tail."""
 
     def cell(*forms):
-        "What is in the table."
+        "How many of the seeds of both rewards in f arrive."
         return "<br>".join(
-            f"<i>{WORDS[x]}</i>: {', '.join(arrived[x])}" for x in forms
+            f"<i>{WORDS[form]}</i>: {sum(arrived[form])}" for form in forms
         )
 
     arrived = {
-        form: [count.replace(" of ", "/") for count in counts]
+        form: [int(count.removesuffix(" of 5")) for count in counts]
         for form, counts in counted.items()
     }
     return table(
-        ("seeds that arrive", "tail in the reward", "no tail"),
+        ("of ten seeds arrive", "tail", "no tail"),
         [
             (
-                "<b>loop in the reward</b>",
+                "<b>loop</b>",
                 cell("", "-cold"),
-                cell("-clipped", "-mixture") + " (a weaker loop)",
+                cell("-clipped", "-mixture"),
             ),
             (
                 "<b>no loop</b>",
@@ -256,38 +256,38 @@ def crossed(WORDS, counted):
     )
 
 
-PARTS = {
-    "": "loop, tail",
-    "-cold": "loop, tail",
-    "-another's": "no loop, tail",
-    "-clipped": "loop, no tail",
-    "-mixture": "weak loop, no tail",
-    "-soft": "no loop, no tail",
-    "-learned": "no loop, no tail",
-}
+PARTS = (  # what is paid, and how many forms pay it
+    ("loop\nand tail", 2),
+    ("tail\nonly", 1),
+    ("loop\nonly", 2),
+    ("neither", 2),
+)
 
 
 def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
-    """Draw scores and values of the variants."""
+    """Draw scores and values of the variants, in groups of what is paid."""
+    assert len(counted) == sum(size for _, size in PARTS)
     with plots.style():
-        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.8), sharey=True)
+        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.6), sharey=True)
         for row, form in enumerate(FORMS):
             for n, y in ((1, row - 0.2), (2, row + 0.2)):
                 name = f"implementation-{n}{form}"
                 color = COLORS[f"implementation-{n}"]
                 _dots(axes[0], y, _score(final[name], shown), color, 0.12)
                 _dots(axes[1], y, last_q(name), color, 0.12)
-                place = {"xycoords": ("axes fraction", "data")}
-                place |= {"va": "center", "color": color}
-                count = counted[form][n - 1].replace(" of ", "/")
-                axes[1].annotate(count, (1.05, y), **place)
-        place = {"xycoords": "axes fraction", "va": "bottom"}
-        axes[1].annotate("arrive", (1.02, 1.02), **place)
         _score_axis(axes[0])
-        rows = range(len(FORMS))
-        labels = [f"{WORDS[x]}\n{PARTS[x]}" for x in FORMS]
+        first = 0
+        for part, size in PARTS:
+            place = {"xycoords": ("axes fraction", "data"), "va": "center"}
+            middle = first + (size - 1) / 2
+            for ax in axes:
+                ax.annotate(part, (1.03, middle), **place)
+                if first:
+                    ax.axhline(first - 0.5, color=plots.GREY, lw=1)
+            first += size
         for ax in axes:
-            ax.set_yticks(rows, labels, fontsize="small", linespacing=0.95)
+            ax.set_yticks(range(len(FORMS)), [WORDS[x] for x in FORMS])
+            ax.grid(False, axis="y")
         axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
         for n, y, name in ((1, -0.2, "$r(s, a)$"), (2, 0.2, "$r(s)$")):
             color = COLORS[f"implementation-{n}"]
@@ -332,7 +332,7 @@ def distances_to_truth(COLORS, labels, far, owner, means):
             _dots(ax, i, far[0, owner == i], tints[name])
             ax.plot(means[i, i], i, "D", mfc="none", mec="black", ms=7)
         words = ["logit, $r(s, a)$ in $f$", "logit, $r(s)$ in $f$"]
-        words += ["$r(s, a)$", "$r(s)$", "$r(s)$, log-ratio loss"]
+        words += ["$r(s, a)$", "$r(s)$", "$r(s)$, log-ratio"]
         words += ["DAC's logit"]
         ax.set(yticks=range(1, 7), yticklabels=words, ylim=(6.5, 0.5))
         for label, name in zip(

@@ -41,7 +41,9 @@ def soft_iteration(grid, values, iterates, errors):
     """Draw the value of a policy that improves."""
     every = np.arange(14 * 14).reshape(14, 14)[::2, ::2].ravel()
     with plots.style():
-        fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.8), sharey=True)
+        # Two columns, so that a phone can show the arrows.
+        fig, ((a, b), (c, rest)) = plt.subplots(2, 2, figsize=(4.8, 5.1))
+        axes = np.array([a, b, c])
         for k, ax in zip((0, 1, 5), axes, strict=True):
             image = plots.grid(ax, values[k], "Left")
             image.set_clim(-15, values.max())
@@ -53,16 +55,17 @@ def soft_iteration(grid, values, iterates, errors):
             )
             ax.set_title(title)
         bare(axes)
-        bar = {"shrink": 0.75, "extend": "min"}
-        fig.colorbar(image, ax=axes, label="soft value", **bar)
+        rest.axis("off")
+        bar = {"cax": rest.inset_axes((0.2, 0.05, 0.1, 0.9))}
+        fig.colorbar(image, label="soft value", extend="min", **bar)
         plt.show()
 
 
 def temperatures(solutions, grid):
     """Draw where policies of several temperatures go."""
     with plots.style():
-        fig, axes = plt.subplots(1, 4, figsize=(7.2, 2.2), sharey=True)
-        for ax, alpha in zip(axes, solutions, strict=True):
+        fig, axes = plt.subplots(2, 2, figsize=(4.8, 4.4))
+        for ax, alpha in zip(axes.flat, solutions, strict=True):
             visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
             share = visits.sum(1) / visits.sum()
             image = plots.grid(ax, np.log10(share), "Left")
@@ -76,8 +79,9 @@ def temperatures(solutions, grid):
 def squashed(CASES, normal, density_of, a):
     """Draw samples of squashed Gaussians and their density."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 4, figsize=(8.4, 2.4), sharey=True)
-        for ax, (mean, std) in zip(axes, CASES, strict=True):
+        both = {"sharex": True, "sharey": True}
+        _fig, axes = plt.subplots(2, 2, figsize=(4.8, 4.0), **both)
+        for ax, (mean, std) in zip(axes.flat, CASES, strict=True):
             x, density = (
                 torch.tanh(mean + std * normal),
                 density_of(mean, std),
@@ -85,10 +89,13 @@ def squashed(CASES, normal, density_of, a):
             bars = {"color": "#f3c98b", "ec": "white", "lw": 0.8}
             ax.hist(x, 24, density=True, **bars)
             ax.plot(a[::400], density[::400], color=plots.BLUE)
-            ax.set(title=f"μ = {mean:g}, σ = {std}", xlabel="action")
+            ax.set_title(f"μ = {mean:g}, σ = {std}")
             ax.set(ylim=(0, 2.6), xticks=[-1, 0, 1])
             ax.grid(False)
-        axes[0].set_ylabel("density")
+        for ax in axes[:, 0]:
+            ax.set_ylabel("density")
+        for ax in axes[1]:
+            ax.set_xlabel("action")
         plt.show()
 
 

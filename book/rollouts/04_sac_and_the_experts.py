@@ -26,6 +26,7 @@ DEFINED = (
     "def td3_target(",
     "class TD3(",
     "def explore(",
+    "def returns(",
 )
 """What the chapter's program has and `offairl_lite.plain` does not."""
 KINDS = ("SAC", "TD3", "SAC, τ = 1")
