@@ -91,6 +91,8 @@ THEIRS = {
 
 COUNTS = ("1", "4", "50")
 """The blocks that differ in the number of whole demonstrations only."""
+BETWEEN = ("10", "20")
+"""Numbers of whole demonstrations that only clones had."""
 
 
 class Cell(NamedTuple):
@@ -787,19 +789,31 @@ def _frame(ax: Axes, title: str, rows: int) -> None:
     ax.grid(visible=False, axis="y")
 
 
-def draw_clones(cells: Cells) -> Figure:
-    """Draw clones by the number of demonstrations, a line for a robot.
+def of_ten_and_twenty() -> dict[str, dict[str, Ends]]:
+    """Return clones of 10 and 20 demonstrations, in percent, by robot."""
+    found = rollouts.read("benchmark")
+    return {
+        block: {
+            robot: 100 * cell["returns"] / expert(robot)[0]
+            for robot, cell in found[block].items()
+        }
+        for block in BETWEEN
+    }
 
-    Nothing was measured between four and fifty, where most people have
-    their recordings.
-    """
-    counts = [int(count) for count in COUNTS]
+
+def draw_clones(cells: Cells) -> Figure:
+    """Draw clones by the number of demonstrations, a line for a robot."""
+    between = of_ten_and_twenty()
+    ends = {
+        count: between.get(count)
+        or {robot: cells[count, robot, "clone"].ends for robot in ROBOTS}
+        for count in sorted((*COUNTS, *BETWEEN), key=int)
+    }
+    counts = [int(count) for count in ends]
     fig, ax = plt.subplots(figsize=(5.6, 2.8))
-    ax.axvspan(10, 30, color=plots.GREY, alpha=0.15, lw=0)
-    ax.text(17.3, 8, "not measured", ha="center")
     ax.axhline(100, color=plots.GREY, linestyle="--", linewidth=1)
     places = {
-        robot: [summary(cells[c, robot, "clone"].ends).mean for c in COUNTS]
+        robot: [summary(of[robot]).mean for of in ends.values()]
         for robot in ROBOTS
     }
     # Labels stand in the order of the lines' ends, apart from each other.
@@ -817,7 +831,7 @@ def draw_clones(cells: Cells) -> Figure:
             arrowprops={"arrowstyle": "-", "color": color, "lw": 0.8},
         )
     ax.set(xscale="log", xlim=(0.85, 190), ylim=(-8, 122))
-    ax.set_xticks(counts, COUNTS)
+    ax.set_xticks(counts, list(ends))
     ax.minorticks_off()
     ax.set(xlabel="demonstrations", ylabel="% of the expert")
     return fig

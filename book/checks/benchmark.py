@@ -17,6 +17,7 @@ from benchmark_runs import (
     clear,
     expert,
     lead,
+    of_ten_and_twenty,
     small_clones,
     summary,
 )
@@ -377,35 +378,57 @@ def against_the_equal_clone(cells):
 
 
 @recorded
-def state_only_dac_so_far(cells):
-    """With four demonstrations state-only DAC comes to 80, 42 and 59 % on
-    Hopper, Walker2d and HalfCheetah, the recipe to 88, 23 and 50; on the
-    last two it is clearly ahead. No difference from DAC is clear."""
-    for method, percents in (
-        ("state-dac", [80, 42, 59]),
-        ("airl", [88, 23, 50]),
-    ):
+def state_only_dac(cells):
+    """With four demonstrations state-only DAC averages 59 % over five
+    robots, and the recipe 54; on Walker2d and HalfCheetah it is clearly
+    ahead, and nowhere behind. No difference from DAC is clear."""
+    for method, percent in (("state-dac", 59), ("airl", 54)):
         means = [
-            round(summary(cells["4", robot, method].ends).mean)
-            for robot in ROBOTS[:3]
+            summary(cells["4", robot, method].ends).mean for robot in ROBOTS
         ]
-        assert means == percents
+        assert round(np.mean(means)) == percent
     ahead = ["Walker2d", "HalfCheetah"]
-    three = ROBOTS[:3]
-    assert clear(cells, "4", "state-dac", "airl", three) == (ahead, [])
-    assert clear(cells, "4", "state-dac", "dac", three) == ([], [])
+    assert clear(cells, "4", "state-dac", "airl") == (ahead, [])
+    assert clear(cells, "4", "state-dac", "dac") == ([], [])
 
 
 @recorded
 def clones_by_number(cells):
     """Clones of one demonstration come to 9 to 54 %, of four to 23 to 84,
-    of fifty to 90 to 100."""
-    for block, low, high in (("1", 9, 54), ("4", 23, 84), ("50", 90, 100)):
-        means = [
-            round(summary(cells[block, robot, "clone"].ends).mean)
-            for robot in ROBOTS
-        ]
-        assert (min(means), max(means)) == (low, high)
+    57 on average, of ten to 59 to 96, 83 on average, of twenty to 78 to
+    100, 90 on average, of fifty to 90 to 100, 93 on average. With ten and
+    twenty Hopper's come to least; with twenty its worst seed is at 32 and
+    HalfCheetah's at 50. Ten seeds were cloned each time."""
+    between = of_ten_and_twenty()
+    for block, low, average, high in (
+        ("1", 9, 33, 54),
+        ("4", 23, 57, 84),
+        ("10", 59, 83, 96),
+        ("20", 78, 90, 100),
+        ("50", 90, 93, 100),
+    ):
+        ends = between.get(block) or {
+            robot: cells[block, robot, "clone"].ends for robot in ROBOTS
+        }
+        assert {len(of_robot) for of_robot in ends.values()} == {10}
+        means = {robot: summary(ends[robot]).mean for robot in ROBOTS}
+        in_order = sorted(means.values())
+        assert (round(in_order[0]), round(in_order[-1])) == (low, high)
+        assert round(np.mean(in_order)) == average
+        if block in between:
+            assert min(means, key=means.get) == "Hopper"
+    worst = {robot: round(x.min()) for robot, x in between["20"].items()}
+    assert (worst["Hopper"], worst["HalfCheetah"]) == (32, 50)
+
+
+@recorded
+def clones_of_ten():
+    """With ten recordings the clones of four robots come to 79 % or more,
+    and Hopper's to 59."""
+    ends = of_ten_and_twenty()["10"]
+    means = {robot: round(summary(x).mean) for robot, x in ends.items()}
+    assert means.pop("Hopper") == 59
+    assert min(means.values()) == 79
 
 
 @recorded

@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from benchmark_runs import PLAN, env_id_of
+from benchmark_runs import BETWEEN, PLAN, env_id_of
 from offairl_lite import cloning, demonstrations
 from offairl_lite.core.rollouts import rollout
 from offairl_lite.runs.records import read_json, write_json
@@ -79,7 +79,11 @@ def record() -> dict[str, Any]:
         for block, methods in PLAN.items()
         for robot in methods.get("clone", ())
     ]
-    places += [f"4-small/{robot}" for robot in PLAN["4"]["clone"]]
+    places += [
+        f"{block}/{robot}"
+        for block in ("4-small", *BETWEEN)
+        for robot in PLAN["4"]["clone"]
+    ]
     found: dict[str, Any] = {"settings": settings()}
     found |= {place.split("/")[0]: {} for place in places}
     for place in sorted(places, key=lambda place: place not in FIRST):
