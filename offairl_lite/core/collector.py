@@ -3,7 +3,6 @@
 import logging
 import warnings
 from collections.abc import Callable, Sequence
-from functools import cache
 
 import numpy as np
 import torch
@@ -66,16 +65,6 @@ class Members:
                 self.give_up(broken, step, f"{name.split('.')[1]} is not finite")
 
 
-@cache
-def _say_that_ends_matter(env_id: str) -> None:
-    """Log, once, that nothing says what the end of an episode is worth."""
-    log.warning(
-        f"An episode of {env_id} has terminated, and absorbing is 'none': the constant of the "
-        "learned reward, which nobody chose, then decides between a long life and a short one. "
-        "Set absorbing='bootstrap'."
-    )
-
-
 class Collector:
     """Acts with all members at once, after a guide if there is one, and fills the replay."""
 
@@ -124,10 +113,7 @@ class Collector:
             guided = (self.guided > 0).to(action.device).unsqueeze(1)
             action = torch.where(guided, self.guide.act(obs.unsqueeze(1)).squeeze(1), action)
         next_obs, reward, terminated, truncated, _ = self.env.step(action.cpu().numpy())
-        left = self.members.left
-        readings = {"observation": next_obs[left], "reward": reward[left]}
-        seeds = [self.members.seeds[i] for i in left]
-        require_sound(self.config.env_id, f"step {self.steps}", seeds, **readings)
+        self._require_sound(observation=next_obs, reward=reward)
         parts = _float(self.obs), pre_tanh.cpu(), *map(_float, (next_obs, reward, terminated))
         # The guide's steps count, and are not learned from.
         unguided = (self.guided == 0).nonzero().squeeze(1)
@@ -136,7 +122,12 @@ class Collector:
         if self.absorbing:
             batch = absorbing.rewrite(batch)
         elif self.ends_matter and ended.any():
-            _say_that_ends_matter(self.config.env_id)
+            self.ends_matter = False  # It is said once.
+            log.warning(
+                f"An episode of {self.config.env_id} has terminated, and absorbing is 'none': the "
+                "constant of the learned reward, which nobody chose, then decides between a long "
+                "life and a short one. Set absorbing='bootstrap'."
+            )
         self.replay.add(batch, unguided)
         if self.absorbing and ended.any():
             self.replay.add(absorbing.loops(batch), unguided[ended])
@@ -151,10 +142,15 @@ class Collector:
     def _reset(self, done: Bool[np.ndarray, "S"]) -> Float[np.ndarray, "S O"]:
         """Begin new episodes where one is done; return all observations."""
         obs, _ = self.env.reset(options={"reset_mask": done})
-        left = self.members.left
-        whose = [self.members.seeds[i] for i in left]
-        require_sound(self.config.env_id, f"step {self.steps}", whose, observation=obs[left])
+        self._require_sound(observation=obs)
         return obs
+
+    def _require_sound(self, **readings: np.ndarray) -> None:
+        """Raise ValueError if the task of a member that still trains gives a faulty number."""
+        left = self.members.left
+        seeds = [self.members.seeds[i] for i in left]
+        sound = {name: reading[left] for name, reading in readings.items()}
+        require_sound(self.config.env_id, f"step {self.steps}", seeds, **sound)
 
     def _draw_guided_steps(self, begins: Bool[np.ndarray, "S"]) -> None:
         """Draw for how long the guide acts in the episodes that begin."""

@@ -27,8 +27,8 @@ from offairl_lite.core.experience import Experience, scaling_of
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
 from offairl_lite.core.policies import Policy
-from offairl_lite.core.replay import Batch, LogDensity, make_replay
-from offairl_lite.core.requirements import require_inputs, require_match
+from offairl_lite.core.replay import Batch, LogDensity, Replay, replay_slots
+from offairl_lite.core.requirements import Inputs, require_inputs, require_match
 from offairl_lite.core.results import Row, Run, learned_returns
 from offairl_lite.core.rewards import Reward
 from offairl_lite.core.rng import Rng
@@ -78,15 +78,15 @@ class Trainer:
         self.seeds: tuple[int, ...] = checked(
             "seeds", tuple(np.atleast_1d(seeds).tolist()), tuple[Natural, ...]
         )
-        earlier = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide
-        require_inputs(config, self.seeds, *earlier)
+        inputs = Inputs(demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide)
+        require_inputs(config, self.seeds, inputs)
         self.config, self.schedule, self.execution = config, config.schedule, execution
         self.device, population = torch.device(execution.device), len(self.seeds)
         torch.set_num_threads(execution.threads)
         env = envs.make(config.env_id, population, self.seeds, num_threads=execution.threads)
         with ExitStack() as undo:
             undo.callback(env.close)
-            self.dims = require_match(config, env, *earlier)
+            self.dims = require_match(config, env, inputs)
             undo.pop_all()
         self.frozen_reward = frozen_reward and frozen_reward.to(self.device)
         self.pretrained_policy = pretrained_policy and pretrained_policy.to(self.device)
@@ -110,7 +110,8 @@ class Trainer:
                 config.discriminator.reward_hidden + config.discriminator.shaping_hidden,
             )
         self.members = Members(self.seeds, self.weights())
-        replay = make_replay(self.schedule, layout, replay_file, memory)
+        size, slots = self.schedule.replay_size, replay_slots(self.schedule, memory)
+        replay = Replay(population, size, *self.dims, self.device, file=replay_file, slots=slots)
         self.collector = Collector(
             config, env, replay, self.rng, self.members, guide and guide.to(self.device)
         )

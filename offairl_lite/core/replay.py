@@ -13,7 +13,6 @@ from torch import Tensor
 
 from offairl_lite.config import Schedule
 from offairl_lite.core.rng import Rng
-from offairl_lite.core.shapes import Layout
 
 
 class Batch(NamedTuple):
@@ -150,15 +149,8 @@ def _mapped(file: Path, shape: tuple[int, int, int]) -> np.memmap:
     return np.memmap(file, np.float32, "r+", shape=shape)
 
 
-def make_replay(schedule: Schedule, layout: Layout, file: Path | None, memory: int) -> Replay:
-    """Return an empty replay that can be rewound by `memory` steps."""
-    (members, obs_dim, action_dim, device, _), size = layout, schedule.replay_size
-    slots = replay_slots(schedule, memory)
-    return Replay(members, size, obs_dim, action_dim, device, file=file, slots=slots)
-
-
 def replay_slots(schedule: Schedule, memory: int) -> int:
-    """Return the rows to allocate for a member: `replay_size` and room to rewind."""
+    """Return the rows to allocate for a member: `replay_size` and room to rewind `memory` steps."""
     # A terminated episode may add a row of the absorbing state.
     rows = 1 if schedule.absorbing == "none" else 2
     return min(schedule.replay_size + rows * memory, rows * schedule.total_steps)

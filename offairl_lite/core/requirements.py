@@ -1,6 +1,7 @@
 """Checks that a run's inputs match its configuration and its task."""
 
 from collections.abc import Sequence
+from typing import NamedTuple, get_args, get_type_hints
 
 import torch
 
@@ -14,22 +15,24 @@ from offairl_lite.demonstrations import Demonstrations, require_demonstrations
 from offairl_lite.envs import BatchedEnv, SerialEnv
 
 
-def require_inputs(
-    config: Config,
-    seeds: Sequence[int],
-    demonstrations: Demonstrations | None,
-    frozen_reward: Reward | None,
-    pretrained_policy: Policy | None,
-    pretrained_reward: Reward | None,
-    guide: Policy | None,
-) -> None:
+class Inputs(NamedTuple):
+    """What a run may have beside its configuration; see `loop.train`."""
+
+    demonstrations: Demonstrations | None = None
+    frozen_reward: Reward | None = None
+    pretrained_policy: Policy | None = None
+    pretrained_reward: Reward | None = None
+    guide: Policy | None = None
+
+
+def require_inputs(config: Config, seeds: Sequence[int], inputs: Inputs) -> None:
     """Raise ValueError unless a run is given what its configuration asks for, and no more."""
-    kinds = {"demonstrations": Demonstrations, "frozen_reward": Reward, "pretrained_policy": Policy}
-    kinds |= {"pretrained_reward": Reward, "guide": Policy, "config": Config}
-    inputs = demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide, config
-    for (name, kind), value in zip(kinds.items(), inputs, strict=True):
-        if not isinstance(value, kind) and (value is not None or name == "config"):
-            raise ValueError(f"{name} is {value!r}; expected a {kind.__name__}")
+    if not isinstance(config, Config):
+        raise ValueError(f"config is {config!r}; expected a Config")
+    for (name, hint), value in zip(get_type_hints(Inputs).items(), inputs, strict=True):
+        if not isinstance(value, hint):
+            raise ValueError(f"{name} is {value!r}; expected a {get_args(hint)[0].__name__}")
+    demonstrations, frozen_reward, pretrained_policy, pretrained_reward, guide = inputs
     if config.reward == "gan-gcl":
         raise ValueError(
             "GAN-GCL is a page now: it is read from records, and trained in "
@@ -60,20 +63,9 @@ def require_inputs(
             )
 
 
-def require_match(
-    config: Config,
-    env: BatchedEnv | SerialEnv,
-    demonstrations: Demonstrations | None,
-    frozen_reward: Reward | None,
-    policy: Policy | None,
-    reward: Reward | None,
-    guide: Policy | None,
-) -> tuple[int, int]:
-    """Return O and A as networks see them.
-
-    Raises:
-        ValueError: something does not fit the task; says what.
-    """
+def require_match(config: Config, env: BatchedEnv | SerialEnv, inputs: Inputs) -> tuple[int, int]:
+    """Return O and A as networks see them; ValueError says what does not fit the task."""
+    demonstrations, frozen_reward, policy, reward, guide = inputs
     (obs_dim,), (action_dim,) = env.single_observation_space.shape, env.single_action_space.shape
     discriminator = config.discriminator
     sees = discriminator.reward_sees if isinstance(discriminator, DiscriminatorConfig) else None

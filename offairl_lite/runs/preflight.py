@@ -13,11 +13,10 @@ from gymnasium.spaces import Box
 
 from offairl_lite import envs
 from offairl_lite.config import Config, DiscriminatorConfig
-from offairl_lite.core.requirements import require_inputs, require_match
+from offairl_lite.core.requirements import Inputs, require_inputs, require_match
 from offairl_lite.core.rewards import IMPLEMENTATIONS
 from offairl_lite.core.rollouts import LONGEST, require_end
 from offairl_lite.demonstrations import Demonstrations
-from offairl_lite.runs import inputs
 
 
 def try_out(env_id: str, seed: int) -> list[str]:
@@ -68,9 +67,9 @@ def check(
     seen, units = envs.spaces(config.env_id)
     scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))
     env: Any = SimpleNamespace(single_observation_space=seen, single_action_space=scaled)
-    frozen, policy, reward, guide = map(networks.get, inputs.CURES)
-    require_inputs(config, seeds, demos, frozen, policy, reward, guide)
-    require_match(config, env, demos, frozen, policy, reward, guide)
+    inputs = Inputs(demos, **networks)
+    require_inputs(config, seeds, inputs)
+    require_match(config, env, inputs)
     if demos is None:
         return []
     notes, ends = [], int(demos.transitions.terminated.sum())

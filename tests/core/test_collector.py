@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from offairl_lite.core import collector
 from offairl_lite.core.loop import Trainer, complete, train
 
 HOPPER = "Hopper-v5"
@@ -51,7 +50,6 @@ def test_the_warm_up_holds_an_action_as_long_as_it_says(tiny):
 def test_a_run_that_leaves_the_end_of_episodes_to_chance_warns_once(
     tiny, random_demonstrations, caplog, changes, warned
 ):
-    collector._say_that_ends_matter.cache_clear()
     config = tiny.change(**{"env_id": HOPPER, "train_every": 50, **changes})
     shown = random_demonstrations(HOPPER) if config.imitates else None
     run(config, (0, 1), shown)
