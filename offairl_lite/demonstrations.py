@@ -118,11 +118,7 @@ def expert(env_id: str) -> Policy:
 
 
 def expert_file(env_id: str) -> Path:
-    """Return the file of the shipped experts.
-
-    Raises:
-        FileNotFoundError: the task has none; lists the tasks that have some.
-    """
+    """Return the file of the shipped experts; FileNotFoundError lists the tasks that have some."""
     path = EXPERTS / f"{short_name(env_id)}.safetensors"
     # A user's own task, such as `mine/PointMazeLeft-v0`, can have the same short name.
     if not path.is_file() or Policy.load(path).env_id != env_id:

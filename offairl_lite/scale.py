@@ -9,9 +9,5 @@ Scale = Literal["demo", "full"]
 
 
 def current() -> Scale:
-    """Return `OFFAIRL_SCALE`: `demo`, the default, or `full`, the paper's.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """Return `OFFAIRL_SCALE`: `demo`, the default, or `full`, the paper's; else ValueError."""
     return checked("OFFAIRL_SCALE", os.environ.get("OFFAIRL_SCALE", "demo"), Scale)

@@ -50,11 +50,7 @@ def canonical(
 
 
 def pearson_distance(x: Float[Tensor, "N"], y: Float[Tensor, "N"]) -> Float[Tensor, ""]:
-    """Return sqrt((1 - ρ) / 2): 0 for equal, 1 for opposite.
-
-    Raises:
-        ValueError: one of the two is constant.
-    """
+    """Return sqrt((1 - ρ) / 2): 0 for equal, 1 for opposite; ValueError if one is constant."""
     x, y = x - x.mean(), y - y.mean()
     norms = x.norm() * y.norm()
     if not norms > 0:
@@ -71,10 +67,7 @@ def distances(
 ) -> Float[Tensor, "K K"]:
     """Return the EPIC distance of each pair of rewards, from 0 to 1, over these transitions.
 
-    `samples` and `discount` are those of `canonical`.
-
-    Raises:
-        ValueError: a reward is mere shaping.
+    `samples` and `discount` are those of `canonical`. ValueError: a reward is mere shaping.
     """
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
     for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):

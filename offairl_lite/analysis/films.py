@@ -85,11 +85,7 @@ def _filming(env_id: str) -> Iterator[None]:
 
 
 def mp4(pictures: UInt8[np.ndarray, "T H W 3"], fps: int = 20) -> bytes:
-    """Return frames encoded as an MP4 with H.264.
-
-    Raises:
-        ValueError: they are not as annotated.
-    """
+    """Return frames encoded as an MP4 with H.264; ValueError if they are not as annotated."""
     frames, rate = np.asarray(pictures), checked("fps", fps, Count)
     if frames.dtype != np.uint8 or frames.shape[3:] != (3,) or not frames.size:
         problem = f"{frames.dtype} of shape {frames.shape}"

@@ -36,11 +36,7 @@ class Members:
         return [i for i, seed in enumerate(self.seeds) if seed not in self.diverged]
 
     def give_up(self, lost: Bool[Tensor, "S"], step: int, problem: str) -> None:
-        """Go on without the members in `lost`.
-
-        Raises:
-            FloatingPointError: none is left.
-        """
+        """Go on without the members in `lost`; FloatingPointError if none is left."""
         for i in lost.nonzero().flatten().tolist():
             seed = self.seeds[i]
             if seed not in self.diverged:

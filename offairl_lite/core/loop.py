@@ -280,11 +280,7 @@ class Trainer:
         }
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Restore a state of the same run, to which the replay file belongs.
-
-        Raises:
-            ValueError: it is not a state of this run.
-        """
+        """Restore a state, to which the replay file belongs; ValueError if it is of another run."""
         try:
             for name, part in self.normaliser._asdict().items():
                 part.copy_(state[f"normaliser.{name}"])

@@ -223,11 +223,7 @@ def save_weights(path: str | PathLike, tensors: dict[str, Tensor], about: dict[s
 
 
 def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_weights` wrote.
-
-    Raises:
-        ValueError: it is damaged, or of another kind.
-    """
+    """Read what `save_weights` wrote; ValueError if it is damaged, or of another kind."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     try:
@@ -243,11 +239,7 @@ def load_weights(path: str | PathLike, kind: str) -> tuple[dict[str, Tensor], di
 
 
 def fields_of(kind: type, about: dict[str, Any]) -> dict[str, Any]:
-    """Return what metadata say of a dataclass.
-
-    Raises:
-        ValueError: a field is of another type.
-    """
+    """Return what metadata say of a dataclass; ValueError if a field is of another type."""
     hints = get_type_hints(kind, include_extras=True).items()
     return {name: checked(name, about[name], hint) for name, hint in hints if name in about}
 
@@ -268,11 +260,7 @@ class Population:
         return len(self.params)
 
     def member(self: P, *index: int) -> P:
-        """Return the population of these members alone.
-
-        Raises:
-            ValueError: there is no member of a number.
-        """
+        """Return the population of these members alone; ValueError if there is none of a number."""
         valid = Annotated[int, f"in [0, {len(self) - 1}]", lambda i: 0 <= i < len(self)]
         chosen = [checked("member", i, valid) for i in index or (None,)]
         return self._each(lambda tensor: tensor[chosen])
@@ -294,12 +282,9 @@ class Population:
 
     @classmethod
     def load(cls: type[P], path: str | PathLike) -> P:
-        """Read what `save` wrote.
+        """Read what `save` wrote; ValueError if it is not whole, see `load_weights`.
 
         A file is data: its `env_id` loses the module, which only a user may name (`envs.spec`).
-
-        Raises:
-            ValueError: it is not whole, see `load_weights`.
         """
         kind = cls.__name__.lower()
         tensors, about = load_weights(path, kind)

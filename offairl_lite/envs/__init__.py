@@ -141,12 +141,9 @@ def register(env: AnyTask, env_id: str | None = None) -> str:
 
 
 def require_boxes(env_id: str, observation_space: Space, action_space: Space) -> tuple[Box, Box]:
-    """Return a task's spaces, as boxes with one axis.
+    """Return a task's spaces as boxes with one axis; ValueError if they cannot be made so.
 
     Dictionaries of observations are flattened; actions must be floats with finite bounds.
-
-    Raises:
-        ValueError: they are none, and cannot be made so.
     """
     if isinstance(observation_space, Dict):
         observation_space = flatten_space(observation_space)

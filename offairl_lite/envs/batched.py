@@ -193,11 +193,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
 
 
 def checked_actions(actions: np.ndarray, env: gymnasium.vector.VectorEnv) -> np.ndarray:
-    """Return the actions of all members.
-
-    Raises:
-        ValueError: they do not fit the space, or are not finite.
-    """
+    """Return all members' actions; ValueError if they do not fit the space, or are not finite."""
     actions, shape = np.asarray(actions), env.action_space.shape
     if actions.shape != shape or actions.dtype.kind not in "fiu":
         actual = f"{actions.dtype} of shape {actions.shape}"

@@ -52,11 +52,7 @@ def _explained(error: Exception) -> str:
 
 
 def as_reward(task: object, reward: object) -> float:
-    """Return a task's reward as a number.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return a task's reward as a number; ValueError if it is none."""
     if reward is None or np.ndim(reward) or np.asarray(reward).dtype.kind not in "biuf":  # type: ignore
         wrong = f"its step has returned {reward!r} for a reward"
         raise ValueError(f"{task}: {wrong}; expected a number, 0.0 where there is none")
@@ -92,11 +88,7 @@ class SerialEnv(SyncVectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
-        """Start new episodes, as `BatchedEnv.reset`.
-
-        Raises:
-            TaskError: the task itself fails.
-        """
+        """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
         mask, seeds = (
             batched.reset_mask(options, self.num_envs),
             batched.member_seeds(seed, self.num_envs),
@@ -107,11 +99,7 @@ class SerialEnv(SyncVectorEnv):
         return self._last.copy(), {}
 
     def step(self, actions: np.ndarray) -> batched.Step:
-        """Advance every member by one step, as `BatchedEnv.step`.
-
-        Raises:
-            TaskError: the task itself fails.
-        """
+        """Advance every member by one step, as `BatchedEnv.step`; TaskError if the task fails."""
         batched.require_episodes(self._idle)
         self._actions.append(batched.checked_actions(actions, self).astype(self._units.dtype))
         ends = [self._advance(i, action) for i, action in enumerate(self._actions[-1])]

@@ -13,22 +13,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {**robots.EXPERIMENTS, **mazes.EXPERIMEN
 
 
 def find(name: str) -> Experiment:
-    """Return an experiment by name.
-
-    Raises:
-        ValueError: there is none; lists those there are.
-    """
+    """Return an experiment by name; ValueError lists those there are."""
     if name not in EXPERIMENTS:
         raise ValueError(f"no experiment {name!r}; there are: {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]
 
 
 def configure(run: str, scale: Scale) -> Config:
-    """Return the configuration of a run, `EXPERIMENT/VARIANT`.
-
-    Raises:
-        ValueError: there is no such run; lists those there are.
-    """
+    """Return the configuration of a run, `EXPERIMENT/VARIANT`; ValueError lists those there are."""
     name, _, variant = run.partition("/")
     experiment = find(name)
     variants = experiment.variants or {"": {}}

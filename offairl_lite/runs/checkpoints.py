@@ -231,11 +231,7 @@ def copy(source: Path, target: Path) -> None:
 
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
-    """Hold a run folder's lock, while the process lives.
-
-    Raises:
-        OSError: another process has it.
-    """
+    """Hold a run folder's lock, while the process lives; OSError if another process has it."""
     try:
         with FileLock(folder / "checkpoint" / "lock", timeout=0):
             yield

@@ -128,12 +128,9 @@ def inherited(
 
 
 def recorded(folder: Path, spec: RunSpec) -> dict[str, Any]:
-    """Return what a run was given of other runs.
+    """Return what a run was given of other runs; ValueError if that is something else now.
 
     A record may lack the copies. They are then made again from the files that the run names.
-
-    Raises:
-        ValueError: it is something else now.
     """
     loaded = {}
     for name, kind in needed(spec.config, spec.inherited).items():

@@ -59,10 +59,7 @@ def check(
 ) -> list[str]:
     """Return what a user should know of a run on `demos` and `networks` of other runs.
 
-    The task is not made for that, if it was tried out.
-
-    Raises:
-        ValueError: something does not fit; says what.
+    The task is not made for that, if it was tried out. ValueError says what does not fit.
     """
     seen, units = envs.spaces(config.env_id)
     scaled = Box(-np.ones_like(units.low), np.ones_like(units.low))

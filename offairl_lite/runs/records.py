@@ -82,11 +82,7 @@ class RunSpec:
 
     @classmethod
     def read(cls, folder: str | PathLike) -> "RunSpec":
-        """Read `config.json`.
-
-        Raises:
-            ValueError: it is of another format, or damaged.
-        """
+        """Read `config.json`; ValueError if it is of another format, or damaged."""
         path = Path(folder) / "config.json"
         if path.parent.is_file():
             raise ValueError(
@@ -258,11 +254,7 @@ def again(folder: Path, spec: RunSpec, command: str = "resume") -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any]:
-    """Read `run.json`.
-
-    Raises:
-        ValueError: it is gone or damaged.
-    """
+    """Read `run.json`; ValueError if it is gone or damaged."""
     status = {"diverged": {}, **read_json(folder / "run.json")}
     try:
         _require_types(status, state=str, step=int, diverged=dict)
@@ -280,11 +272,7 @@ def _require_types(fields: dict[str, Any], **types: Any) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file.
-
-    Raises:
-        ValueError: it is damaged, or not as `write_json` left it.
-    """
+    """Read a JSON file; ValueError if it is damaged, or not as `write_json` left it."""
     try:
         content = json.loads(path.read_bytes())
         _require_types({"content": content}, content=dict)
@@ -339,11 +327,7 @@ def _sync(path: Path) -> None:
 
 
 def beginning(folder: Path) -> Path:
-    """Return what there is of a folder's path.
-
-    Raises:
-        NotADirectoryError: it is a file.
-    """
+    """Return what there is of a folder's path; NotADirectoryError if it is a file."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
         raise NotADirectoryError(f"{existing} is no folder: choose another")
