@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 from filelock import FileLock, Timeout
-from gymnasium.spaces import Box
 from jaxtyping import Float
 from minari.storage import get_dataset_path
 from tqdm.auto import tqdm
@@ -303,9 +302,7 @@ def generate(
             without it.
         OSError: as of `minari_storage.write`.
     """
-    # Everything that can go wrong is checked before minutes of work.
-    checked("trajectories", trajectories, Count)
-    minari_storage.require_new(dataset_id)
+    minari_storage.require_new(dataset_id)  # Before minutes of work.
     recordings = record(policy, env_id, trajectories, members)
     mean = float(np.mean([np.sum(np.asarray(one.reward)) for one in recordings]))
     if at_least is not None and mean < at_least:
@@ -329,18 +326,11 @@ def record(
     """Return the first episodes of a policy, or of any function that acts, as for `generate`."""
     checked("trajectories", trajectories, Count)
     units = envs.spaces(env_id)[1]
-    if isinstance(policy, Policy):
-        require_actions(policy, units)
-        return _sampled(policy, env_id, trajectories, units, members)
-    if callable(policy):
+    if not isinstance(policy, Policy):
+        if not callable(policy):
+            raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
         return played(policy, env_id, units, episode_seeds((0,), trajectories, PURPOSE))
-    raise ValueError(f"policy is {policy!r}; expected a Policy, or a function that acts")
-
-
-def _sampled(
-    policy: Policy, env_id: str, trajectories: int, units: Box, members: Sequence[int] | None
-) -> list[Recording]:
-    """Return sampled episodes of the members in turn."""
+    require_actions(policy, units)
     middle, half = (units.low + units.high) / 2, (units.high - units.low) / 2
     recordings = []
     for i in tqdm(range(trajectories), unit="episode", desc=f"demonstrations of {env_id}"):

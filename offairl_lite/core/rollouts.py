@@ -197,7 +197,6 @@ def rollout(
             running, obs = running & ~done, next_obs
             if done.any():
                 obs, _ = env.reset(options={"reset_mask": done})
-
     columns = [np.stack(column, 1) for column in zip(*steps, strict=True)]
     obs, action, next_obs, reward, terminated, alive = (
         column.reshape(*shape, *column.shape[1:]) for column in columns

@@ -63,7 +63,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self.task, self.num_envs, self.render_mode = TASKS[task], num_envs, render_mode
         limit = checked("max_episode_steps", max_episode_steps, Count | None)
         self.max_episode_steps = limit or self.task.max_episode_steps
-
         model = self.task.model()
         # Contact forces are computed from a member's whole MjData, which only a persistent batch
         # keeps. Without them the state row is enough, and memory grows only with the threads.
@@ -76,13 +75,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._seconds = model.opt.timestep * self.task.frame_skip
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": round(1 / self._seconds)}
         self.metadata["autoreset_mode"] = autoreset_mode
-
         bodies = model.nbody if self.task.contact_forces else 0
         self._observe(np.zeros((num_envs, 2)), np.zeros((num_envs, bodies, 6)))
         self._clock = np.zeros(num_envs, np.int64)
         self._idle = np.ones(num_envs, bool)
         self.np_random = tuple(seeding.np_random(s)[0] for s in member_seeds(seeds, num_envs))
-
         low, high = model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = Box(low, high, dtype=np.float32)
         # MuJoCo resets a simulation when a position or a velocity exceeds this value.
@@ -125,7 +122,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         self._measure(running, stepped=True)
         after = self._physics
         self._clock[running] += 1
-
         rewards = np.where(idle, 0.0, self.task.reward(before, actions, after, self._seconds))
         terminated = self.task.terminated(after) & ~idle
         truncated = (self._clock >= self.max_episode_steps) & ~idle

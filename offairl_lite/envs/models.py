@@ -41,8 +41,6 @@ def walls(side: Side | None) -> np.ndarray:
 
     Four borders, then the barrier, attached on a side: `"Left"` leaves the gap on the right.
     """
-    if side not in ("Left", "Right", None):
-        raise ValueError(f"side must be 'Left' or 'Right', or None, not {side!r}")
     low, high, middle = -0.1, LENGTH, LENGTH / 2
     corners = [(low, low), (high, low), (high, high), (low, high)]
     lines = [[corners[i - 1], corners[i]] for i in (1, 2, 3, 0)]
@@ -65,14 +63,12 @@ def particle(start: np.ndarray, side: Side | None) -> mujoco.MjModel:
     geom.friction, geom.margin, geom.condim = (0.5, 0.1, 0.1), 0.002, 1
     geom.contype, geom.conaffinity = 2, 1
     spec.default.joint.damping[0] = 1
-
     body = spec.worldbody.add_body(name="particle", pos=(*start, 0))
     solid = {"contype": 1, "density": 1000, "rgba": (0.13, 0.35, 0.85, 1)}
     body.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(PARTICLE_RADIUS, 0, 0), **solid)
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
         body.add_joint(name=name, type=mjtJoint.mjJNT_SLIDE, axis=axis)
         _add_motor(spec, name, gear=1)
-
     target = spec.worldbody.add_body(name="target", pos=(*GOAL, 0))
     target.add_geom(
         type=mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), rgba=(0.1, 0.75, 0.25, 1), **_UNTOUCHED
@@ -98,8 +94,6 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
 
     An action drives the legs in the order of `actuator_legs`, hip before ankle.
     """
-    if sorted(actuator_legs) != sorted(_LEGS):
-        raise ValueError(f"actuator_legs must order the legs 1, 2, 3, 4, not {actuator_legs}")
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.01
     spec.option.integrator = mjtIntegrator.mjINT_RK4
@@ -107,7 +101,6 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     joint.armature, joint.damping[0] = 1, 1
     geom.friction, geom.density, geom.margin = (1.5, 0.5, 0.5), 5, 0.01
     geom.condim, geom.conaffinity = 3, 0
-
     floor = {"name": "floor", "size": (40, 40, 40), "conaffinity": 1, "rgba": _GROUND}
     spec.worldbody.add_geom(type=mjtGeom.mjGEOM_PLANE, **floor)
     torso = spec.worldbody.add_body(name="torso", pos=(0, 0, 0.75))
@@ -115,7 +108,6 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
     torso.add_joint(name="root", type=mjtJoint.mjJNT_FREE, **free)
     torso.add_geom(type=mjtGeom.mjGEOM_SPHERE, size=(0.25, 0, 0), rgba=_ANT)
     _add_eyes(torso)
-
     for leg, (direction, ankle_axis, ankle_range) in _LEGS.items():
         weak = disabled and leg in _BACK_LEGS
         colour = (0.75, 0.25, 0.22, 1) if weak else _ANT
@@ -130,7 +122,6 @@ def ant(disabled: bool, actuator_legs: tuple[int, ...]) -> mujoco.MjModel:
         limb = limb.add_body(name=f"shin_{leg}", pos=thigh)
         _add_hinge(limb, f"ankle_{leg}", ankle_axis, ankle_range)
         _add_capsule(limb, (0, 0, 0), shin, 0.08, colour)
-
     for leg in actuator_legs:
         gear = 1 if disabled and leg in _BACK_LEGS else 30
         _add_motor(spec, f"hip_{leg}", gear)

@@ -55,7 +55,6 @@ def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
     """Return the colours, (rays, 3) from 0 to 1, that rays from an eye meet in a lamp's light."""
     geom, distance, normal = _cast(model, data, eye, directions)
     point = eye + distance[:, None] * directions
-
     # MuJoCo casts many rays from one origin only, so they go from the lamp to the points.
     from_lamp = point - lamp
     length = np.sqrt(np.einsum("ij,ij->i", from_lamp, from_lamp))
@@ -66,7 +65,6 @@ def _trace(model, data, eye, lamp, directions, palette, floor) -> np.ndarray:
     direct = lit * np.maximum(0, -np.einsum("ij,ij->i", normal, from_lamp))
     # Skylight: surfaces that face up see the sky, surfaces that face down the darker ground.
     light = 0.31 + 0.12 * normal[:, 2] + 0.65 * direct
-
     # The tiles are the palette's last two colours. Haze hides where they become finer than pixels.
     on_floor = floor[geom] & (geom >= 0)
     odd = np.floor(point[:, 0]).astype(int) + np.floor(point[:, 1]).astype(int) & 1

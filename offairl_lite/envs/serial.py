@@ -40,9 +40,8 @@ def _explained(error: Exception) -> str:
         return f"{type(error).__name__}: {error}"
     frame, line = list(traceback.walk_tb(error.__traceback__))[-1]
     file, module = frame.f_code.co_filename, frame.f_globals.get("__name__", "").partition(".")[0]
-    said = (
-        f"{type(error).__name__} in {file}, line {line}, `{linecache.getline(file, line).strip()}`"
-    )
+    code = linecache.getline(file, line).strip()
+    said = f"{type(error).__name__} in {file}, line {line}, `{code}`"
     for name in packages_distributions().get(module, [])[:1]:
         said += (
             f". That is {name} {version(name)}, with MuJoCo {mujoco.__version__}: if it was made "
@@ -89,10 +88,8 @@ class SerialEnv(SyncVectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
     ) -> tuple[np.ndarray, dict]:
         """Start new episodes, as `BatchedEnv.reset`; TaskError if the task itself fails."""
-        mask, seeds = (
-            batched.reset_mask(options, self.num_envs),
-            batched.member_seeds(seed, self.num_envs),
-        )
+        mask = batched.reset_mask(options, self.num_envs)
+        seeds = batched.member_seeds(seed, self.num_envs)
         for i in np.flatnonzero(mask).tolist():
             self._begin(i, self._seeds[i] if seeds[i] is None else seeds[i])
         del self._actions[: len(self._actions) - self._clock.max()]
@@ -136,7 +133,6 @@ class SerialEnv(SyncVectorEnv):
             self._begin(i)
             for actions in self._actions[len(self._actions) - state["clock"][i] :]:
                 self._advance(i, actions[i])
-
         again = self.get_state()
         wrong = [k for k in state if not np.array_equal(again[k], state[k], equal_nan=True)]
         if wrong:
@@ -172,8 +168,6 @@ class SerialEnv(SyncVectorEnv):
         """Keep a member's observation; ValueError if it does not fit the space."""
         shape, expected = np.shape(observation), self.single_observation_space.shape
         if shape != expected:
-            why = (
-                f"expected {expected}, as observation_space says (reset returns observation, info)"
-            )
-            raise ValueError(f"an observation has the shape {shape}; {why}")
+            why = "as observation_space says (reset returns observation, info)"
+            raise ValueError(f"an observation has the shape {shape}; expected {expected}, {why}")
         np.stack([observation], out=self._last[i : i + 1])

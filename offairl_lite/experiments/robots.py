@@ -81,6 +81,7 @@ _WARM = crossed(_FIVE, {"airl-warm": {**_RELEASED, "pretrained": "policy"}})
 
 _LONG: Changes = {"total_steps": 100_000, "eval_every": 10_000, "eval_episodes": 10}
 _BEST: base.Experts = {"demo": "best", "full": "best"}
+_ALL = base.ALL_EXPERTS
 
 # The paper's three candidates for an expert, on its eight tasks.
 _MAZES = {short_name(env_id): {"env_id": env_id} for env_id in (base.LEFT, base.RIGHT)}
@@ -105,22 +106,14 @@ _ABSORBING = crossed(
     {way: {"absorbing": way} for way in ("none", "bootstrap", "analytic")},
 )
 _FEWER_STEPS: Changes = {"learning_starts": 1_000}
-_EXPERTS_DEMO: Changes = {
-    **_FEWER_STEPS,
-    "total_steps": 6_000,
-    "train_every": 200,
-    "batch_size": 64,
-}
+_SMALL_BATCHES: Changes = {"total_steps": 6_000, "train_every": 200, "batch_size": 64}
+_EXPERTS_DEMO: Changes = {**_FEWER_STEPS, **_SMALL_BATCHES}
 _ABSORBING_DEMO: Changes = {
     **{"total_steps": 12_000, "learning_starts": 2_000, "train_every": 250, "batch_size": 64},
     **{"temperature": None, "target_rate": 0.01},
 }
-_LOCOMOTION_DEMO: Changes = {
-    **base.SMALL_MCP,
-    **_LONG,
-    "total_steps": 500_000,
-    "eval_every": 25_000,
-}
+_HALF_A_MILLION: Changes = {"total_steps": 500_000, "eval_every": 25_000, "eval_episodes": 10}
+_LOCOMOTION_DEMO: Changes = {**base.SMALL_MCP, **_HALF_A_MILLION}
 
 _ABOUT = """\
 experts: TD3 and SAC, with α fixed and learned, on the true reward of the eight tasks: 24 runs
@@ -139,7 +132,7 @@ imitate: Off-policy AIRL by the recipe, on a task of your own: give env_id= and 
 _cheetah = partial(_robot, {**_TASKS["HalfCheetah"], **_FEWER_STEPS})
 _GAIL = {**_HOPPER, **base.ON_POLICY, **base.SIGNS["survival"]}
 _DISABLED = {**_TASKS["DisabledAnt"], "reward": "frozen", "temperature": None}
-_OTHERS = {"reward_from": "locomotion/CustomAnt-airl", "seeds": _FEW, "experts": base.ALL_EXPERTS}
+_OTHERS = {"reward_from": "locomotion/CustomAnt-airl", "seeds": _FEW, "experts": _ALL}
 _SIGHT = base.REWARDS | {"implementation-4-velocity": {**base.MIXTURE, **_VELOCITY}}
 _OWN = {**_FEWER_STEPS, **_RELEASED}
 _OWN_DEMO: Changes = {"train_every": 200, "eval_episodes": 10}
@@ -149,9 +142,7 @@ _ON_TRUE = {**_TASKS["HalfCheetah"], "reward": "environment"}
 EXPERIMENTS: Mapping[str, Experiment] = base.described(
     _ABOUT,
     {
-        "experts": _robot(
-            _ON_TRUE, demo=_EXPERTS_DEMO, variants=_EXPERTS, experts=base.ALL_EXPERTS
-        ),
+        "experts": _robot(_ON_TRUE, demo=_EXPERTS_DEMO, variants=_EXPERTS, experts=_ALL),
         "hopper-gail": _robot(_GAIL, variants=base.SIGNS),
         "hopper-dac": _robot({**_ROBOTS["Hopper"], **_DAC}, variants=base.DAC),
         "hopper-absorbing": _robot({**_HOPPER, **_DAC}, demo=_ABSORBING_DEMO, variants=_ABSORBING),
@@ -164,6 +155,6 @@ EXPERIMENTS: Mapping[str, Experiment] = base.described(
             _DISABLED, demo={**base.SMALL_MCP, **_ANT_DEMO}, variants=_ANT_TRANSFER, **_OTHERS
         ),
         "ant-rewards": _robot(_TASKS["CustomAnt"], demo=_ANT_DEMO, variants=_SIGHT, seeds=_FEW),
-        "imitate": _robot(_OWN, demo=_OWN_DEMO, experts=base.ALL_EXPERTS),
+        "imitate": _robot(_OWN, demo=_OWN_DEMO, experts=_ALL),
     },
 )

@@ -67,12 +67,6 @@ class RunInputs:
         """The files of other runs, by the names that `inputs.load` has for them."""
         return {name: getattr(self, name) for name in inputs.CURES}
 
-    def load_demonstrations(self, env_id: str) -> Demonstrations:
-        """Return the demonstrations of a task that new runs imitate."""
-        return demonstrations.load(
-            env_id, self.trajectories, self.dataset, self.subsample, self.experts
-        )
-
     def execution(self, config: Config) -> Execution:
         """Return where, and how, a configuration is trained."""
         return choose_execution(config, self.device, self.threads, self.compile)
@@ -203,7 +197,10 @@ def _create(
         env_id, demos = config.env_id, None
         notes = preflight.try_out(env_id, seeds[0])
         if config.imitates:
-            demos = data[env_id] = data.get(env_id) or run_inputs.load_demonstrations(env_id)
+            source = run_inputs.dataset, run_inputs.subsample, run_inputs.experts
+            if env_id not in data:
+                data[env_id] = demonstrations.load(env_id, run_inputs.trajectories, *source)
+            demos = data[env_id]
         execution = run_inputs.execution(config)
         for note in notes + preflight.check(config, seeds, demos, networks):
             messages.note(note)

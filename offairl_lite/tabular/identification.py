@@ -159,7 +159,6 @@ def apart(
     num_states: int = 40,
     num_actions: int = 5,
     discount: float = 0.99,
-    seed: int = 0,
 ) -> Apart:
     """Estimate the distance of worlds from recordings with continuous observations and actions.
 
@@ -173,10 +172,9 @@ def apart(
         num_states: clusters of observations, which are scaled to unit variance.
         num_actions: clusters of actions.
         discount: γ of all worlds.
-        seed: of the clusters.
     """
     checked("recordings", len(recordings), Annotated[int, "of at least 2", lambda n: n > 1])
-    rng, worlds = np.random.default_rng(seed), range(len(recordings))
+    rng, worlds = np.random.default_rng(0), range(len(recordings))
     obs, action, to = (
         [np.asarray(getattr(each, part), float) for each in recordings]
         for part in ("obs", "action", "next_obs")

@@ -52,14 +52,12 @@ def maze(
     states, actions = cells**2, len(MOVES)
     row, column = np.divmod(np.arange(states), cells)
     positions = np.stack([centres[column], centres[row]], 1)
-
     to_column = np.clip(column[:, None] + MOVES[:, 0], 0, cells - 1)
     to_row = np.clip(row[:, None] + MOVES[:, 1], 0, cells - 1)
     (left, height), (right, _) = segments[4]
     below, x = centres < height, centres[column]
     crosses = (below[row][:, None] != below[to_row]) & ((left < x) & (x < right))[:, None]
     arrival = np.where(crosses, np.arange(states)[:, None], to_row * cells + to_column)
-
     move = csr_array((np.ones(arrival.size), (np.arange(arrival.size), arrival.ravel())))
     origin = np.repeat(np.arange(states), actions)
     drift = csr_array((np.full(arrival.size, 1 / actions), (origin, arrival.ravel())))
