@@ -39,22 +39,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Episodes of an expert, as transitions.
+    """Episodes of an expert, as transitions."""
 
-    Args:
-        env_id: the task.
-        transitions: axes `N`, in order, with actions scaled to [-1, 1].
-        lengths: number of transitions of each episode.
-        whole_returns: return of each whole episode, if `transitions` has only some of its steps.
-        source: the arguments of `load` with which they can be loaded again: `dataset`, `subsample`
-            and `experts`. None if they are from elsewhere.
-    """
-
-    env_id: str
-    transitions: Batch
-    lengths: tuple[int, ...]
-    whole_returns: tuple[float, ...] | None = None
+    env_id: str  #: The task.
+    transitions: Batch  #: Axes `N`, in order, with actions scaled to [-1, 1].
+    lengths: tuple[int, ...]  #: Number of transitions of each episode.
+    whole_returns: tuple[float, ...] | None = None  #: If only some of the episodes' steps are here.
     source: Mapping[str, Any] | None = None
+    """`dataset`, `subsample` and `experts` for `load` to load them again, if it has loaded them."""
 
     @property
     def returns(self) -> np.ndarray:
@@ -167,8 +159,6 @@ def load(
         known = minari_storage.local_datasets() if dataset_id else {}
         trajectories = known.get(dataset_id or "", {}).get("total_episodes", 50)
     subsample = checked("subsample", subsample, Count)
-    several = Annotated[int, "of at least 1, or 'best'", lambda n: n >= 1]
-    experts = experts if experts == "best" else checked("experts", experts, several | None)
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         dataset_id = _made_by_experts(env_id, trajectories, experts)

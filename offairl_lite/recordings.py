@@ -51,12 +51,10 @@ def from_flat(arrays: Mapping[str, np.ndarray]) -> list[Recording]:
     if not {"obs", "action"} <= rows.keys():
         raise ValueError(f"flat arrays {available}; expected obs and actions among them")
     if wrong := {n: len(array) for n, array in rows.items() if len(array) != steps}:
-        raise ValueError(
-            f"flat arrays: {wrong} rows, and {steps} actions; expected as many of each"
-        )
-    marks = [
-        np.ravel(arrays[n]) != 0 for p in ("terminated", "ends") for n in NAMES[p] if n in arrays
-    ]
+        many = f"{wrong} rows, and {steps} actions"
+        raise ValueError(f"flat arrays: {many}; expected as many of each")
+    names = NAMES["terminated"] + NAMES["ends"]
+    marks = [np.ravel(arrays[n]) != 0 for n in names if n in arrays]
     starts = np.arange(steps) == 0
     if "starts" in rows:
         starts |= rows["starts"].astype(bool)
@@ -118,8 +116,7 @@ def recording_of(i: int, parts: Any, limit: int | None) -> Recording:
     if isinstance(parts, np.ndarray):
         raise ValueError(
             f"recording {i} is an array of shape {parts.shape}; expected a list of episodes, each "
-            "(obs, action). Of flat arrays give their names, too: dict(obs=..., actions=..., "
-            "dones=...)"
+            "(obs, action). Of flat arrays give the names: dict(obs=..., actions=..., dones=...)"
         )
     try:
         return _named(parts) if isinstance(parts, Mapping) else Recording(*parts)

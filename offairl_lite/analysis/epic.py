@@ -72,7 +72,6 @@ def distances(
     shaped = [canonical(reward, transitions, samples, discount) for reward in rewards]
     for i, (reward, left) in enumerate(zip(rewards, shaped, strict=True)):
         if not left.std() > 1e-5 * reward(*transitions).std():
-            raise ValueError(
-                f"reward {i} is nothing but shaping on these transitions: leave it out"
-            )
+            why = "is nothing but shaping on these transitions"
+            raise ValueError(f"reward {i} {why}: leave it out")
     return torch.stack([torch.stack([pearson_distance(x, y) for y in shaped]) for x in shaped])

@@ -32,21 +32,15 @@ GROUPS = {"schedule": Schedule, "learner": LearnerConfig, "discriminator": Discr
 
 @dataclass(frozen=True)
 class Config:
-    """One run. The defaults are the preset `CORRECTED` at the paper's scale.
+    """One run. The defaults are the preset `CORRECTED` at the paper's scale."""
 
-    Args:
-        schedule: when things happen, and on what.
-        learner: of the policy: `SACConfig`, `TD3Config` or `PPOConfig`.
-        discriminator: of the reward; `Frozen` for a reward that was learned before (transfer),
-            `Labels` for SQIL and IQ-Learn, which learn none, None for the task's own (plain
-            reinforcement learning).
-    """
-
-    schedule: Schedule = field(default_factory=Schedule)
+    schedule: Schedule = field(default_factory=Schedule)  #: When things happen, and on what.
     learner: SACConfig | TD3Config | PPOConfig = field(default_factory=SACConfig)
     discriminator: DiscriminatorConfig | Labels | Frozen | None = field(
         default_factory=DiscriminatorConfig
     )
+    """`Frozen` for a reward that was learned before (transfer), `Labels` for SQIL and IQ-Learn,
+    which learn none, None for the task's own (plain reinforcement learning)."""
 
     def __post_init__(self) -> None:
         for message in self._conflicts():

@@ -21,19 +21,13 @@ from offairl_lite.config.settings import checked
 
 @dataclass(frozen=True)
 class Execution:
-    """Where and how a run is computed. Another choice gives the same run up to rounding.
+    """Where and how a run is computed. Another choice gives the same run up to rounding."""
 
-    Args:
-        device: where networks live, `cpu` or `cuda`.
-        threads: of PyTorch, in the whole process, and of the physics.
-        compile: whether updates are compiled, which takes a C++ compiler and a minute or two.
-        onednn: whether oneDNN makes the products of large networks, if that costs no precision.
-    """
-
-    device: str = "cpu"
-    threads: int = 1
-    compile: bool = False
+    device: str = "cpu"  #: Where networks live, `cpu` or `cuda`.
+    threads: int = 1  #: Of PyTorch, in the whole process, and of the physics.
+    compile: bool = False  #: Whether updates are compiled: it takes a C++ compiler and a minute.
     onednn: bool = False
+    """Whether oneDNN makes the products of large networks, if that costs no precision."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.threads <= 256:

@@ -86,12 +86,6 @@ class Transitions(NamedTuple):
     next_obs: Obs
     log_prob: Vector
 
-    def split(self, size: int) -> "list[Transitions]":
-        """Cut the second axis into minibatches of `size`, which are views."""
-        return [
-            Transitions(*parts) for parts in zip(*(x.split(size, 1) for x in self), strict=True)
-        ]
-
 
 Mixing = Float[Tensor, "S B 4"]
 """Uniform in [0, 1): where s, a, s' and log π are, from the policy's (0) to the expert's (1)."""
@@ -130,12 +124,10 @@ class Discriminator:
         self.value_net = StackedMLP((layout.obs_dim, *config.shaping_hidden, 1), config.activation)
         # What is trained: these networks, or what an ablation makes of them.
         self.trained = wrap(self.reward_net), wrap(self.value_net)
-        self.reward_params, self.value_params = (
-            zeros(layout, net.num_params) for net in self.trained
-        )
+        self.reward_params = zeros(layout, self.trained[0].num_params)
+        self.value_params = zeros(layout, self.trained[1].num_params)
         self.reward_optimizer = Adam(self.reward_params, LEARNING_RATE)
         self.value_optimizer = Adam(self.value_params, LEARNING_RATE)
-        # Everything that updates change: the tensors themselves.
         self.state = states_of(reward=self.reward_optimizer, value=self.value_optimizer)
         # What r must not see, its first layer multiplies with 0.
         self.mask = None
@@ -196,10 +188,9 @@ class Discriminator:
     def gradient_norm(self, expert: Transitions, policy: Transitions, mixing: Mixing) -> Vector:
         """Return ‖∇f‖ at a random point between each expert's and policy's transition."""
         share = mixing[..., :1]  # for s, a and s' alike
-        obs, action, next_obs = (
-            torch.lerp(p, e, share) for p, e in zip(policy[:3], expert[:3], strict=True)
-        )
-        between = Transitions(obs, action, next_obs, policy.log_prob)  # f does not see log π.
+        points = [torch.lerp(p, e, share) for p, e in zip(policy[:3], expert[:3], strict=True)]
+        # f does not see log π.
+        between = policy._replace(obs=points[0], action=points[1], next_obs=points[2])
         gradients = self.f_and_gradients(between)[1]
         by_obs, by_action, by_next_obs = (part.square().sum(-1) for part in gradients)
         return (by_obs + by_action + by_next_obs + TINY).sqrt()

@@ -16,7 +16,7 @@ from offairl_lite.config.groups import Labels, OffPolicyConfig
 from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions
 from offairl_lite.core.networks import Normaliser
-from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample
+from offairl_lite.core.replay import Batch, LogDensity, Replay, chunks, sample, split
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.shapes import Numbers, Vector
 
@@ -49,10 +49,8 @@ def labelled(expert: Batch, policy: Batch, size: int) -> Batch:
     """Return minibatches `S B`, half expert, paid 1, half replay, paid 0 (Reddy et al. 2020)."""
     expert = expert._replace(reward=torch.ones_like(expert.reward))
     policy = policy._replace(reward=torch.zeros_like(policy.reward))
-    halves = (
-        [part.unflatten(1, (-1, size)) for part in pair]
-        for pair in zip(expert, policy, strict=True)
-    )
+    pairs = zip(expert, policy, strict=True)
+    halves = ([part.unflatten(1, (-1, size)) for part in pair] for pair in pairs)
     return Batch(*(torch.cat(pair, 2).flatten(1, 2) for pair in halves))
 
 
@@ -71,27 +69,16 @@ def with_analytic_return(batch: Batch, absorbing_reward: Numbers, discount: floa
 
 @dataclass(frozen=True)
 class Experience:
-    """The demonstrations and the replay of a population, for one block of training.
-
-    Args:
-        config: the run's configuration.
-        replay: what the policies have done.
-        demonstrations: the expert's transitions, axes `N`, if a reward is learned.
-        normaliser: scales every observation.
-        rng: draws the minibatches.
-        discriminator: what the minibatches of both sides are for, if a reward is learned.
-        log_density: log π of scaled transitions, as it was when the block began.
-        reward: what the learner is paid (`loop.rewards`).
-    """
+    """The demonstrations and the replay of a population, for one block of training."""
 
     config: Config
     replay: Replay
-    demonstrations: Batch | None
-    normaliser: Normaliser
-    rng: Rng
-    discriminator: Discriminator | None
-    log_density: LogDensity
-    reward: Callable[[Batch, Batch], Vector]
+    demonstrations: Batch | None  #: The expert's transitions, axes `N`.
+    normaliser: Normaliser  #: Scales every observation.
+    rng: Rng  #: Draws the minibatches.
+    discriminator: Discriminator | None  #: There if a reward is learned.
+    log_density: LogDensity  #: log π of scaled transitions, as it was when the block began.
+    reward: Callable[[Batch, Batch], Vector]  #: What the learner is paid (`loop.rewards`).
 
     def scaled(self, batch: Batch) -> Batch:
         """Return transitions as networks see them."""
@@ -114,7 +101,7 @@ class Experience:
             for batch in map(self.scaled, drawn):
                 needed = discriminator.needs_log_prob
                 log_prob = self.log_density(batch) if needed else torch.zeros_like(batch.reward)
-                sides.append(discriminator.transitions(batch, log_prob).split(size))
+                sides.append(split(discriminator.transitions(batch, log_prob), size))
             yield from zip(*sides, mixing.split(size, 1), strict=True)
 
     def paid(self, batch: Batch) -> Batch:
@@ -137,7 +124,7 @@ class Experience:
         if isinstance(self.config.discriminator, Labels) and self.demonstrations is not None:
             expert = sample(self.demonstrations, self.rng, count * size)
             batch, size = labelled(expert, batch, size), 2 * size
-        return self.paid(batch).split(size)
+        return split(self.paid(batch), size)
 
     def last(self, count: int) -> Batch:
         """Return the last so many transitions of each member for the learner, in order."""

@@ -112,9 +112,8 @@ class Trainer:
         self.members = Members(self.seeds, self.weights())
         size, slots = self.schedule.replay_size, replay_slots(self.schedule, memory)
         replay = Replay(population, size, *self.dims, self.device, file=replay_file, slots=slots)
-        self.collector = Collector(
-            config, env, replay, self.rng, self.members, guide and guide.to(self.device)
-        )
+        guide = guide and guide.to(self.device)
+        self.collector = Collector(config, env, replay, self.rng, self.members, guide)
         self.kept_reward, self.started = pretrained_reward, False
         # Lengths of the blocks of steps not yet trained on. Those of the warm-up wait for its end.
         self.blocks_due: list[int] = []

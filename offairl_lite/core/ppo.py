@@ -94,7 +94,6 @@ class PPO:
         self.critic_params = zeros(layout, self.critic.num_params)
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
-        # Everything that updates change: the tensors themselves.
         self.state = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
 
     @torch.no_grad()
@@ -128,10 +127,8 @@ class PPO:
         value, next_value = (
             self.critic(self.critic_params, x).squeeze(-1) for x in (block.obs, block.next_obs)
         )
-        ends, discount = episode_ends(block.obs, block.next_obs), self.config.discount
-        advantage = gae(
-            block.reward, value, next_value, block.terminated, ends, discount, GAE_DECAY
-        )
+        ends, gamma = episode_ends(block.obs, block.next_obs), self.config.discount
+        advantage = gae(block.reward, value, next_value, block.terminated, ends, gamma, GAE_DECAY)
         mean, std = advantage.mean(1, keepdim=True), advantage.std(1, keepdim=True)
         log_prob = self.actor.log_prob(self.actor_params, block.obs, block.pre_tanh)
         scaled = (advantage - mean) / (std + 1e-8)

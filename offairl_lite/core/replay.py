@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -27,14 +27,18 @@ class Batch(NamedTuple):
     reward: Float[Tensor, "*batch"]
     terminated: Float[Tensor, "*batch"]
 
-    def split(self, size: int) -> list["Batch"]:
-        """Cut the second axis into minibatches of `size`, which are views."""
-        return [Batch(*parts) for parts in zip(*(x.split(size, 1) for x in self), strict=True)]
-
     @property
     def action(self) -> Float[Tensor, "*batch A"]:
         """The actions, in [-1, 1]."""
         return torch.tanh(self.pre_tanh)
+
+
+Parts = TypeVar("Parts", bound=tuple)
+
+
+def split(batch: Parts, size: int) -> list[Parts]:
+    """Cut the second axis of transitions into minibatches of `size`, which are views."""
+    return [type(batch)(*parts) for parts in zip(*(x.split(size, 1) for x in batch), strict=True)]
 
 
 LogDensity = Callable[[Batch], Float[Tensor, "S B"]]  #: log π of each transition of a scaled batch.

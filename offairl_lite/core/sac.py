@@ -88,7 +88,6 @@ class OffPolicy:
         self.actor_optimizer = Adam(self.actor_params, config.learning_rate)
         self.critic_optimizer = Adam(self.critic_params, config.learning_rate)
         trained = states_of(actor=self.actor_optimizer, critic=self.critic_optimizer)
-        # Everything that updates change: the tensors themselves.
         self.state = {"target": self.target_params, **trained}
 
     @torch.no_grad()
@@ -184,8 +183,7 @@ class SAC(OffPolicy):
 
     def value(self, obs: Obs, noise: Action) -> Vector:
         """Return V(s) by the target critics, at an action that `noise` draws from π."""
-        pre_tanh, log_prob = self.mask_absorbing(
-            obs, *self.actor.sample(self.actor_params, obs, noise)
-        )
+        sampled = self.actor.sample(self.actor_params, obs, noise)
+        pre_tanh, log_prob = self.mask_absorbing(obs, *sampled)
         q = self.critic(self.target_params, obs, torch.tanh(pre_tanh))
         return soft_value(q, self.log_alpha.exp(), log_prob)

@@ -24,18 +24,10 @@ Metrics = dict[str, PerMember]  #: Diagnostics by their names.
 
 
 class Layout(NamedTuple):
-    """What the networks of a run have in common.
+    """What the networks of a run have in common."""
 
-    Args:
-        members: S.
-        obs_dim: O, the indicator of the absorbing state included.
-        action_dim: A.
-        device: where they live.
-        absorbs: whether observations end with that indicator.
-    """
-
-    members: int
-    obs_dim: int
-    action_dim: int
-    device: torch.device | str = "cpu"
-    absorbs: bool = False
+    members: int  #: S.
+    obs_dim: int  #: O, the indicator of the absorbing state included.
+    action_dim: int  #: A.
+    device: torch.device | str = "cpu"  #: Where they live.
+    absorbs: bool = False  #: Whether observations end with that indicator.

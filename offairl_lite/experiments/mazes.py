@@ -106,6 +106,7 @@ _MARSH_TRANSFER = {
     "true-west": {"env_id": WEST, **base.EXPERT},
 }
 _paid = partial(_maze, _TRANSFER, reward_from="maze-imitation")
+_REWARD = "marsh-imitation/implementation-4"
 _marsh = partial(_maze, {"env_id": MARSH, "reward": "frozen"}, demo=_SHORT)
 
 EXPERIMENTS: Mapping[str, Experiment] = base.described(
@@ -124,8 +125,6 @@ EXPERIMENTS: Mapping[str, Experiment] = base.described(
         "maze-transfer-rewards": _paid(demo=_SHORT, variants=_WORTH),
         "marsh-expert": _maze(_MARSH_EXPERT, demo=_EXPERT_DEMO),
         "marsh-imitation": _maze({"env_id": MARSH}, variants=_MARSH_IMITATION),
-        "marsh-transfer": _marsh(
-            variants=_MARSH_TRANSFER, reward_from="marsh-imitation/implementation-4"
-        ),
+        "marsh-transfer": _marsh(variants=_MARSH_TRANSFER, reward_from=_REWARD),
     },
 )

@@ -148,12 +148,10 @@ def clone(
     """
     if out.suffix != ".safetensors":
         raise ValueError(f"out is {out}; expected a policy's file: --out {out}.safetensors")
-    demos = demonstrations.load(env_id, trajectories, dataset, experts=experts)
-    policy = cloning.clone(
-        demos, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state
-    )
+    data = demonstrations.load(env_id, trajectories, dataset, experts=experts)
+    policy = cloning.clone(data, seeds, hidden=hidden, steps=steps, absorbing_state=absorbing_state)
     records.write_whole(out, policy.save)
-    known = f"return {demos.returns.mean():.2f}" if demos.returns.any() else "have no rewards"
+    known = f"return {data.returns.mean():.2f}" if data.returns.any() else "have no rewards"
     print(f"{out}: {len(policy)} policies; demonstrations {known}")
     if eval_episodes:
         returns = rollout(policy, env_id, seeds, eval_episodes).returns
@@ -334,9 +332,8 @@ def main(args: Sequence[str] | None = None) -> None:
     with messages.one_line():
         for old in {*args[:1], *(arg for arg in args if arg.startswith("--"))} & REMOVED.keys():
             raise ValueError(f"{old} is of an earlier version: write {REMOVED[old]}")
-        for name in {
-            arg.split("=")[0].lstrip("-").replace("-", "_") for arg in given
-        } & EARLIER.keys():
+        names = {arg.split("=")[0].lstrip("-").replace("-", "_") for arg in given}
+        for name in names & EARLIER.keys():
             messages.note(f"{name} is called {EARLIER[name]} now; the earlier name will go")
         # The experiment and the scale decide the defaults that --help shows, so they come first.
         # What follows an option is its value, `--out imitate`.

@@ -49,10 +49,8 @@ METRICS = (
 """Diagnostics of the update before an evaluation; new ones come last, for older curves' sake."""
 COLUMNS = ("seed", "step", "episodes", "mean_return", "returns", "learned_return", *METRICS)
 HEADER = ",".join(COLUMNS) + "\n"
-#: What `run.json` has as the state of a run that is not gone on with.
 FINISHED, DIVERGED = "finished", "stopped: every member has diverged"
 PICTURE = "curve.png"
-#: Whose versions a record tells.
 PACKAGES = ("offairl-lite", "torch", "numpy", "mujoco", "gymnasium", "minari")
 
 

@@ -12,20 +12,14 @@ from offairl_lite.config.settings import Count, Fraction, checked
 
 @dataclass(frozen=True, eq=False)
 class MDP:
-    """A Markov decision process without its reward.
-
-    Args:
-        transition: probabilities p(s' | s, a): an array (S, A, S), or a sparse matrix (S·A, S)
-            whose row s·A + a is the distribution of s'. It is stored as such a matrix, in CSR form.
-        initial: distribution of the first state, (S,).
-        discount: γ, from 0 to 1.
-        horizon: number of actions T of an episode, or None if episodes have no end; then γ < 1.
-    """
+    """A Markov decision process without its reward."""
 
     transition: csr_array
-    initial: Float[Array, "S"]
-    discount: float
-    horizon: int | None = None
+    """Probabilities p(s' | s, a): an array (S, A, S), or a sparse matrix (S·A, S) whose row s·A + a
+    is the distribution of s'. It is stored as such a matrix, in CSR form."""
+    initial: Float[Array, "S"]  #: Distribution of the first state.
+    discount: float  #: γ, from 0 to 1.
+    horizon: int | None = None  #: Actions of an episode; None if episodes have no end; then γ < 1.
 
     def __post_init__(self):
         transition = _as_matrix(self.transition)
@@ -86,9 +80,8 @@ class MDP:
         shape = (self.num_states, self.num_actions)
         timed = shape if self.horizon is None else (self.horizon, *shape)
         if policy.shape not in (shape, timed):
-            raise ValueError(
-                f"policy is {policy.shape}; expected one of {sorted({shape, timed}, key=len)}"
-            )
+            shapes = sorted({shape, timed}, key=len)
+            raise ValueError(f"policy is {policy.shape}; expected one of {shapes}")
         if not are_distributions(policy.reshape(-1, shape[1])).all():
             raise ValueError("policy must be probabilities of the actions, not their logarithms")
         return np.broadcast_to(policy, timed)

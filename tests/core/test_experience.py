@@ -11,7 +11,7 @@ from offairl_lite.core import absorbing
 from offairl_lite.core.discriminator import Discriminator
 from offairl_lite.core.experience import labelled
 from offairl_lite.core.loop import Trainer, train
-from offairl_lite.core.replay import Batch, sample
+from offairl_lite.core.replay import Batch, sample, split
 from offairl_lite.core.rng import Rng
 from offairl_lite.core.sac import SAC
 from offairl_lite.core.td3 import TD3
@@ -55,7 +55,7 @@ def test_labelled_minibatches_are_demonstrations_and_then_replay(maze, size):
     replayed = Batch(*(torch.rand(2, 12, *part.shape[1:]) for part in maze.transitions))
     batch = labelled(sample(maze.transitions, Rng((0, 1)), 12), replayed, size)
     rows = {tuple(row) for row in maze.transitions.obs.tolist()}
-    halves = zip(batch.split(2 * size), replayed.split(size), strict=True)
+    halves = zip(split(batch, 2 * size), split(replayed, size), strict=True)
     for both, own in halves:
         expert, policy = (Batch(*half) for half in zip(*(x.chunk(2, 1) for x in both), strict=True))
         assert {tuple(row) for row in expert.obs.flatten(0, 1).tolist()} <= rows

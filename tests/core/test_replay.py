@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from offairl_lite.core.replay import Batch, Replay, pack, unpack
+from offairl_lite.core.replay import Batch, Replay, pack, split, unpack
 from offairl_lite.core.rng import Rng
 
 
@@ -27,7 +27,7 @@ def test_packing_is_undone_by_unpacking():
 def test_minibatches_are_cut_from_the_second_axis():
     wide, flat = Rng((0, 1)).normal(5, 2), torch.arange(10.0).view(2, 5)
     batch = Batch(wide, wide, wide, flat, flat)
-    parts = batch.split(2)
+    parts = split(batch, 2)
     assert [part.reward.shape[1] for part in parts] == [2, 2, 1]
     for whole, *pieces in zip(batch, *parts, strict=True):
         assert torch.equal(whole, torch.cat(pieces, 1))

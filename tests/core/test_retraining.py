@@ -3,7 +3,7 @@
 import torch
 
 from offairl_lite.core.loop import Trainer
-from offairl_lite.core.replay import Batch
+from offairl_lite.core.replay import Batch, split
 from offairl_lite.core.sac import POLICY_DELAY
 
 
@@ -14,7 +14,7 @@ def retrain(trainer, reward, updates):
     scaled = [trainer.normaliser(x) for x in (batch.obs, batch.next_obs)]
     batch = Batch(scaled[0], batch.pre_tanh, scaled[1], reward(batch.obs), batch.terminated)
     noise = trainer.rng.normal(2, updates * size, 2).transpose(0, 1)
-    parts = zip(batch.split(size), noise.split(size, 2), strict=True)
+    parts = zip(split(batch, size), noise.split(size, 2), strict=True)
     for k, (minibatch, eps) in enumerate(parts, 1):
         trainer.learner.update(minibatch, eps, k % POLICY_DELAY == 0)
 
