@@ -6,14 +6,10 @@ from typing import Literal
 import torch
 
 from offairl_lite.config import Config, DiscriminatorConfig, SACConfig
+from offairl_lite.core import policies
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions, make_discriminator
 from offairl_lite.core.networks import TINY
-from offairl_lite.core.policies import (
-    MultiplicativeGaussian,
-    SquashedGaussian,
-    gaussian_log_density,
-    make_actor,
-)
+from offairl_lite.core.policies import MultiplicativeGaussian, SquashedGaussian, make_actor
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
@@ -39,7 +35,7 @@ class ReleasedGaussian(SquashedGaussian):
 
     def log_prob(self, params: Params, obs: Obs, pre_tanh: Action) -> Vector:
         """Return the Gaussian's log density at the squashed action, without the Jacobian."""
-        return gaussian_log_density(torch.tanh(pre_tanh), *self.distribution(params, obs))
+        return policies.gaussian_log_density(torch.tanh(pre_tanh), *self.distribution(params, obs))
 
 
 class ReleasedProduct(MultiplicativeGaussian):

@@ -12,12 +12,9 @@ import numpy as np
 import scipy  # Its parts are imported when they are used: `stats` takes half a second.
 from jaxtyping import Bool, Float, Int
 
-RESAMPLES = 10_000
-"""How many resamples a bootstrap draws where there are too many to take them all."""
-TAIL = (1 - 0.95) / 2
-"""At most this much lies beyond each end of an interval: all of them are 95 % ones."""
-ENUMERATED = 20_000
-"""Up to how many distinct resamples a bootstrap takes them all: eight seeds, or five a side."""
+RESAMPLES = 10_000  #: How many a bootstrap draws where there are too many to take them all.
+TAIL = (1 - 0.95) / 2  #: At most this much lies beyond each end of an interval: 95 % in all.
+ENUMERATED = 20_000  #: Up to so many distinct resamples all are taken: eight seeds, or five a side.
 
 
 def interquartile_mean(values: Float[np.ndarray, "N ..."]) -> np.ndarray:

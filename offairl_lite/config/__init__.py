@@ -201,8 +201,7 @@ def _types(flat: Mapping[str, Any]) -> dict[str, type[Checked]]:
 def used_settings(flat: Mapping[str, Any]) -> set[str]:
     """Return the flat names of the settings for which learner, reward and ablation have a use.
 
-    Raises:
-        ValueError: there is no such learner, reward or ablation.
+    ValueError: there is no such learner, reward or ablation.
     """
     types, names = _types(flat), {"reward", "learner"}
     if "discriminator" in types or flat.get("ablation") is None:

@@ -157,9 +157,7 @@ class DiscriminatorConfig(Checked):
     renamed: ClassVar[dict[str, str]] = {
         name: f"discriminator_{name}" for name in ("discount", "activation", "updates")
     }
-
-    selects: ClassVar[bool] = True
-    """Whether `reward_sees` is of use."""
+    selects: ClassVar[bool] = True  #: Whether `reward_sees` is of use.
 
     reward: LearnedReward = "r-s"
     """What the learner maximises. AIRL's: the reward r(s), r(s, a), or the discriminator's logit
@@ -196,8 +194,7 @@ class DiscriminatorConfig(Checked):
                 f"reward_sees is {self.reward_sees}, and ablation={self.kind!r} sees all of an "
                 "observation: set it to None"
             )
-        pays_log_prob = self.reward.startswith("logit")
-        if not (self.log_prob_in_reward or pays_log_prob):
+        if not (self.log_prob_in_reward or self.reward.startswith("logit")):
             yield (
                 f"log_prob_in_reward=False, and reward {self.reward!r} has no log π to leave out: "
                 "it is for logit-sa and logit-s"

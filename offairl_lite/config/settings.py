@@ -91,8 +91,7 @@ def kinds(base: type[Checked]) -> dict[str, type[Checked]]:
 def checked(name: str, value: Any, hint: Any) -> Any:
     """Return a value as a plain one of the type that is wanted, in its usual spelling.
 
-    Raises:
-        ValueError: it is of another type, not finite, or out of range; names the setting.
+    ValueError names the setting if it is of another type, not finite, or out of range.
     """
     if isinstance(value, str):
         value = SYNONYMS.get(name, {}).get(value, value)

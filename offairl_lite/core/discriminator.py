@@ -104,8 +104,7 @@ class Discriminator:
     The penalty holds ‖∇f‖ near 1 in scaled observations: their scale is part of the algorithm.
     """
 
-    log_prob_in_penalty = False
-    """Whether the gradient penalty contains log π, of a policy that has one."""
+    log_prob_in_penalty = False  #: Whether the gradient penalty contains log π.
 
     def __init__(
         self,

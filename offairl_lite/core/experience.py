@@ -78,7 +78,7 @@ class Experience:
     rng: Rng  #: Draws the minibatches.
     discriminator: Discriminator | None  #: There if a reward is learned.
     log_density: LogDensity  #: log π of scaled transitions, as it was when the block began.
-    reward: Callable[[Batch, Batch], Vector]  #: What the learner is paid (`loop.rewards`).
+    reward: Callable[[Batch, Batch], Vector]  #: What the learner is paid (`Trainer.paid`).
 
     def scaled(self, batch: Batch) -> Batch:
         """Return transitions as networks see them."""

@@ -22,7 +22,7 @@ from offairl_lite.config.settings import Natural, checked
 from offairl_lite.core import absorbing
 from offairl_lite.core.acceleration import Execution
 from offairl_lite.core.collector import Collector, Members, part_of
-from offairl_lite.core.discriminator import Discriminator, make_discriminator
+from offairl_lite.core.discriminator import make_discriminator
 from offairl_lite.core.experience import Experience, scaling_of
 from offairl_lite.core.learner import adopt, log_density, make_learner
 from offairl_lite.core.networks import Normaliser
@@ -41,24 +41,11 @@ class Stop(Exception):
     """Raised by a callback: the run ends here, with what is there."""
 
 
-def rewards(
-    source: Discriminator | Reward | None, log_pi: LogDensity, batch: Batch, scaled: Batch
-) -> Vector:
-    """Return what the learner is paid for transitions, as in replay and as networks see them."""
-    if isinstance(source, Discriminator):
-        return source.reward(scaled, log_pi)
-    # A frozen reward has a scaling of its own.
-    return batch.reward if source is None else source(batch.obs, batch.action)
-
-
 class Trainer:
     """One run: `run` is Algorithm 1; at each yield, `state()` and the replay suffice to resume.
 
     Transitions are kept in `replay_file`, if any, and can be rewound by `memory` steps. For all
-    other arguments see `train`.
-
-    Raises:
-        ValueError: something that `config` needs is missing, or does not fit the task.
+    other arguments see `train`. ValueError: something is missing, or does not fit the task.
     """
 
     def __init__(
@@ -160,11 +147,19 @@ class Trainer:
         """Return what a block of steps is trained on."""
         # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
-        reward = partial(rewards, self.discriminator or self.frozen_reward, log_pi)
+        reward = partial(self.paid, log_pi)
         replay, shown, rng = self.collector.replay, self.demonstrations, self.rng
         return Experience(
             self.config, replay, shown, self.normaliser, rng, self.discriminator, log_pi, reward
         )
+
+    def paid(self, log_pi: LogDensity, batch: Batch, scaled: Batch) -> Vector:
+        """Return the pay for transitions, given as in replay and as networks see them."""
+        if self.discriminator is not None:
+            return self.discriminator.reward(scaled, log_pi)
+        # A frozen reward has a scaling of its own.
+        frozen = self.frozen_reward
+        return batch.reward if frozen is None else frozen(batch.obs, batch.action)
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""

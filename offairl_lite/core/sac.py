@@ -33,8 +33,7 @@ from offairl_lite.core.shapes import (
 )
 
 INITIAL_TEMPERATURE = 0.2  #: Where a learned α begins (released code).
-POLICY_DELAY = 2
-"""Critic updates for one update of actor, temperature and targets (Arnob 2020, section 3)."""
+POLICY_DELAY = 2  #: Critic updates for one of actor, temperature, targets (Arnob 2020, section 3).
 
 
 def soft_value(q: TwinQ, alpha: Column, log_prob: Vector) -> Vector:

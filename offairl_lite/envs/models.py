@@ -16,8 +16,7 @@ LENGTH = 0.6  #: Upper end of the maze in x and y; the lower end is at -0.1.
 START = np.array([LENGTH / 2, 0.0])  #: Where the particle starts, (2,).
 GOAL = np.array([LENGTH / 2, LENGTH - 0.1])  #: Centre of the target, (2,).
 MARSH = np.array([(-0.1, 0.1), (0.4, 0.3)])  #: Lower and upper corner of the marsh, (2, 2).
-WEST = np.array([0.05, 0.0])
-"""Another start, from which the straight way to the goal crosses the marsh as well, (2,)."""
+WEST = np.array([0.05, 0.0])  #: Another start, whose straight way crosses the marsh as well, (2,).
 PARTICLE_RADIUS = 0.03
 WALL_RADIUS = 0.02  #: Half the thickness of a wall.
 

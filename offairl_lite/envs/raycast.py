@@ -9,6 +9,7 @@ import numpy as np
 # Each pixel is the mean of 2x2 samples, and each of the four has a lamp of its own: the average of
 # four hard shadows is a soft shadow at the cost of one. Lamps are given as directions in the scene.
 _SAMPLES = 2
+_FIELD_OF_VIEW = 40.0  # Vertical, in degrees.
 _LAMPS = np.array([[-0.55, -0.5, 1], [-0.43, -0.5, 1], [-0.49, -0.56, 1], [-0.49, -0.44, 1]])
 _LAMPS /= np.linalg.norm(_LAMPS, axis=1, keepdims=True)
 
@@ -27,7 +28,6 @@ class Camera(NamedTuple):
     body: int = 0  #: The body with which `lookat` moves along x and y; 0, the world, does not move.
     tiles: bool = True
     """Whether planes are a checker board, which shows motion, instead of in their own colour."""
-    field_of_view: float = 40.0  #: Vertical field of view.
 
 
 def render(
@@ -102,7 +102,7 @@ def _axes(camera: Camera) -> np.ndarray:
 def _rays(width: int, height: int, camera: Camera) -> np.ndarray:
     """Return unit vectors from the eye through the samples of every pixel, (4, pixels, 3)."""
     forward, right, up = _axes(camera)
-    half = np.tan(np.deg2rad(camera.field_of_view) / 2)
+    half = np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
     rows, columns = _SAMPLES * height, _SAMPLES * width
     y = half * (1 - (2 * np.arange(rows) + 1) / rows)
     x = half * width / height * ((2 * np.arange(columns) + 1) / columns - 1)

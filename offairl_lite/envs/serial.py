@@ -118,8 +118,7 @@ class SerialEnv(SyncVectorEnv):
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue exactly from a state that `get_state` returned, here or in another environment.
 
-        Raises:
-            ValueError: it is of another task, or its episodes come out differently here.
+        ValueError: it is of another task, or its episodes come out differently here.
         """
         like, steps = self.get_state(), np.shape((state or {}).get("actions", ()))[:1]
         like["actions"] = np.empty((*steps, *like["actions"].shape[1:]), self._units.dtype)

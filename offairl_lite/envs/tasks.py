@@ -72,8 +72,7 @@ def _forward(before: Physics, after: Physics, seconds: float) -> np.ndarray:
     return (after.qpos[:, 0] - before.qpos[:, 0]) / seconds
 
 
-MARSH_COST = 2.0
-"""Cost of a step that begins in the marsh, in addition to the distance from the goal."""
+MARSH_COST = 2.0  #: Of a step that begins in the marsh, besides the distance from the goal.
 
 
 def in_marsh(position: np.ndarray) -> np.ndarray:

@@ -69,11 +69,8 @@ _WHAT_DECIDES = crossed(
 # What one would use instead, on the five robots, each with its strongest expert. How many
 # demonstrations there are is not of the configuration: give --trajectories. The recipe may also
 # start from a clone, whose file has to be given, so these runs are an experiment of their own:
-# offairl clone Hopper-v5 --trajectories 4 --experts best --hidden 64 64 --absorbing-state \
-#   --seeds 0 1 2 3 4 --out clones/hopper.safetensors
-# offairl run benchmark-warm --only Hopper-airl-warm --trajectories 4 \
-#   --pretrained-policy clones/hopper.safetensors
-# (--absorbing-state for Hopper, Walker2d and Ant; --hidden 400 300 at full scale).
+# `offairl clone` makes it, with --experts best, --hidden 64 64 (400 300 at full scale) and, for
+# Hopper, Walker2d and Ant, --absorbing-state; --pretrained-policy begins with it.
 _STATE_DAC: dict[str, Changes] = {"state-dac": {**_DAC, "ablation": "state-pairs"}}
 _SOFT_Q: dict[str, Changes] = {name: {"reward": name} for name in ("sqil", "iq-learn")}
 _BENCHMARK = crossed(_FIVE, {"airl": _RELEASED, "dac": _DAC, **_STATE_DAC, **_SOFT_Q})

@@ -33,8 +33,7 @@ from offairl_lite.runs.records import RunSpec, damaged
 
 CHECKPOINT, REPLAY = Path("checkpoint/checkpoint.safetensors"), Path("checkpoint/replay.f32")
 
-MARGIN = 2**23
-"""Bytes of disk for each seed beside the replay: checkpoints, curve, policy and reward."""
+MARGIN = 2**23  #: Bytes of disk for each seed besides replay, policies and rewards.
 Found = tuple[dict[str, Tensor], dict[str, Any]]  #: A trainer's state, and what is said about it.
 FORMAT = 4  #: Of checkpoints; it changes when older ones can no longer be resumed.
 BLOCK = 1024  #: Places in the replay, with the rows of all members, that have one checksum.

@@ -69,9 +69,7 @@ def points(
     """Return the configurations of an experiment's own runs, or of some, times a grid.
 
     Settings that are `chosen` for all runs are left out of those that have no use for them.
-
-    Raises:
-        ValueError: a run sets something else itself, or no run has a use for a setting.
+    ValueError: a run sets something else itself, or no run has a use for a setting.
     """
     base, variants = experiment.configs[scale], experiment.variants or {"": {}}
     if unknown := set(only) - set(variants):

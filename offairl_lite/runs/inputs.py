@@ -32,8 +32,7 @@ CURES = {
     "guide": "guide_steps=50",
 }
 """What a run may be given of other runs, and the option that makes use of it."""
-COPY = "demonstrations.safetensors"
-"""Where a run folder has demonstrations that could not be loaded again."""
+COPY = "demonstrations.safetensors"  #: Those of a run folder that could not be loaded again.
 
 
 def needed(config: Config, files: Mapping[str, Any] = {}) -> dict[str, Any]:
@@ -51,10 +50,7 @@ def load(config: Config, seeds: Sequence[int], **files: Sequence[Path]) -> dict[
     """Return the rewards and policies of other runs that a configuration needs, by their names.
 
     Several `files`, or folders of runs, become one population; guides take turns if they are fewer
-    than the seeds.
-
-    Raises:
-        ValueError: a file is needed and not given, or holds something else.
+    than the seeds. ValueError: a file is needed and not given, or holds something else.
     """
     loaded = {}
     for name, kind in needed(config, files).items():
@@ -161,8 +157,7 @@ def demonstrations_of(
 ) -> Demonstrations | None:
     """Return the demonstrations that a run began with, loaded if they are not given.
 
-    Raises:
-        ValueError: they have changed since, or there is nothing to load them from.
+    ValueError: they have changed since, or there is nothing to load them from.
     """
     if (source := spec.demonstrations) is None:
         return None

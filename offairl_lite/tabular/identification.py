@@ -6,7 +6,7 @@ each of them (Cao, Cohen and Szpruch 2021; Rolland et al. 2022). Constants alway
 """
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -18,8 +18,7 @@ from offairl_lite.config.settings import Positive, checked
 from offairl_lite.tabular.mdp import MDP
 from offairl_lite.tabular.sampling import Trajectories
 
-_ANGLE = 1e-6
-"""A distance below this is rounding: it is the square root of a difference of numbers near 1."""
+_ANGLE = 1e-6  #: A distance below this, the root of a difference of numbers near 1, is rounding.
 
 
 def shapings(mdp: MDP) -> Float[Array, "S*A S"]:
@@ -136,17 +135,6 @@ def counted(
     return mdp, taken.reshape(shape)
 
 
-class Recorded(Protocol):
-    """N recorded steps of a world, such as `Demonstrations.transitions`: arrays or tensors."""
-
-    obs: Float[Array, "N O"]
-    next_obs: Float[Array, "N O"]
-
-    @property
-    def action(self) -> Float[Array, "N A"]:
-        """What was done."""
-
-
 class Apart(NamedTuple):
     """How far worlds are apart, by their `worlds`' recordings, and how far `halves` of one are."""
 
@@ -155,7 +143,7 @@ class Apart(NamedTuple):
 
 
 def apart(
-    recordings: Sequence[Recorded],
+    recordings: Sequence[Any],
     num_states: int = 40,
     num_actions: int = 5,
     discount: float = 0.99,
@@ -167,8 +155,9 @@ def apart(
     A distance is 0 if pairs of clusters that all have seen do not tell the worlds apart at all.
 
     Args:
-        recordings: of each world, at least ten steps for each pair of clusters. Random actions tell
-            more than an expert, who shows few of them.
+        recordings: `obs` (N, O), `action` (N, A) and `next_obs` of each world, such as
+            `Demonstrations.transitions`: at least ten steps for each pair of clusters. Random
+            actions tell more than an expert, who shows few of them.
         num_states: clusters of observations, which are scaled to unit variance.
         num_actions: clusters of actions.
         discount: γ of all worlds.

@@ -44,9 +44,7 @@ def empirical_occupancy(mdp: MDP, trajectories: Trajectories) -> Float[Array, "S
 
     The result estimates `planning.occupancy` and has the same sum: without a horizon the counts of
     T actions are divided by 1 - γ^T, as if everything later were like the recorded part.
-
-    Raises:
-        ValueError: the process does not allow a step; names it.
+    ValueError names a step that the process does not allow.
     """
     states, actions = (np.asarray(part) for part in trajectories)
     count, length = actions.shape

@@ -103,13 +103,6 @@ def test_walls_are_where_walls_says(side, gap):
     np.testing.assert_allclose(open_end, gap)
 
 
-def test_unknown_side_and_actuator_order_are_errors():
-    with pytest.raises(ValueError, match="'Left' or 'Right'"):
-        models.particle(models.START, "Up")
-    with pytest.raises(ValueError, match="order the legs"):
-        models.ant(False, (1, 2, 3))
-
-
 def test_custom_ant_physics(ants):
     model, _ = ants
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
