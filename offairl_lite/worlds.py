@@ -177,8 +177,7 @@ def train(
         progress: whether a bar is shown.
 
     Raises:
-        ValueError: there are fewer than two worlds, their observations or actions differ, their
-            blocks of steps end at different times, or `config` does not fit.
+        ValueError: it is one world, or shapes, ends of blocks or `config` do not fit together.
     """
     with ExitStack() as afterwards:
         afterwards.callback(torch.set_num_threads, torch.get_num_threads())

@@ -31,8 +31,7 @@ def frames(
         every: so many steps lie between two frames.
 
     Raises:
-        ValueError: the policy has several members or does not fit the task, that does not render
-            frames, or a count is below 1.
+        ValueError: an argument is not as above, or the task does not render frames.
     """
     for name, count in (("max_steps", max_steps), ("every", every)):
         checked(name, count, Count)

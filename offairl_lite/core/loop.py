@@ -145,7 +145,6 @@ class Trainer:
 
     def experience(self) -> Experience:
         """Return what a block of steps is trained on."""
-        # π as it acted, for discriminator and learner:
         log_pi = log_density(self.config, self.learner, self.steps)
         reward = partial(self.paid, log_pi)
         replay, shown, rng = self.collector.replay, self.demonstrations, self.rng
@@ -157,9 +156,9 @@ class Trainer:
         """Return the pay for transitions, given as in replay and as networks see them."""
         if self.discriminator is not None:
             return self.discriminator.reward(scaled, log_pi)
-        # A frozen reward has a scaling of its own.
-        frozen = self.frozen_reward
-        return batch.reward if frozen is None else frozen(batch.obs, batch.action)
+        if self.frozen_reward is not None:  # It has a scaling of its own.
+            return self.frozen_reward(batch.obs, batch.action)
+        return batch.reward
 
     def start(self) -> None:
         """End the warm-up: fix the scaling of observations and draw all weights, in place."""

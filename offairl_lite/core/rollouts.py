@@ -162,8 +162,7 @@ def rollout(
         actions: what is done instead.
 
     Raises:
-        ValueError: seeds, policy and task do not fit, an episode does not end, or the task gives a
-            number that is NaN, or beyond ±`LARGEST`.
+        ValueError: arguments do not fit, an episode does not end, or a task's number is `faulty`.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):

@@ -87,8 +87,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
 
     Raises:
         FileNotFoundError: it is gone.
-        ValueError: it or another file is damaged, of another format or run, further than the
-            run is to go, or cannot be played again.
+        ValueError: a file is damaged, or of another run, or the task cannot be played again.
     """
     path, step = folder / CHECKPOINT, records.read_state(folder)["step"]
     if not path.is_file():

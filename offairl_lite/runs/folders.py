@@ -256,8 +256,7 @@ def extend(folder: Path, steps: int | None = None, seeds: Sequence[int] = ()) ->
         seeds: those to add.
 
     Raises:
-        ValueError: the run has gone further already, a seed is there already, the run builds upon
-            members of another, its task cannot be played again, or what it began with has changed.
+        ValueError: a step or a seed is there already, or the run cannot go on; says why.
         OSError: that is gone, a process is at work on the run, or the disk has no room.
     """
     before = {path: known(path) for path in run_folders(folder)}
