@@ -43,15 +43,9 @@ _ACTORS = {
 # The ways to begin, those with primitives with the warm-up of scratch, too, and the gate alone with
 # a temperature that cannot run away.
 _UNHELPED = base.retraining_variants({"learning_starts": 100, "random_hold": 1.0}, 50)
-_RETRAINING = (
-    _UNHELPED
-    | {
-        f"{name}-helped": changes
-        for name, changes in base.retraining_variants({}, 50).items()
-        if changes.get("pretrained") == "primitives" and "guide_steps" not in changes
-    }
-    | {f"{k}-gate-cool": {**_UNHELPED[f"{k}-gate"], "temperature": 0.02} for k in (4, 8)}
-)
+_HELPED, _PRIMITIVES = base.retraining_variants({}, 50), ("4-gate", "4-both", "8-gate", "8-both")
+_RETRAINING = _UNHELPED | {f"{name}-helped": _HELPED[name] for name in _PRIMITIVES}
+_RETRAINING |= {f"{k}-gate-cool": {**_UNHELPED[f"{k}-gate"], "temperature": 0.02} for k in (4, 8)}
 
 # The first two rewards contain -log π, and SAC adds α of it: to count it once, either SAC has as
 # good as no temperature (cold), or it has all of it (soft). Or SAC has what it learns to need, and

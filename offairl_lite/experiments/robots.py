@@ -43,16 +43,9 @@ _AND_DAC: dict[str, Changes] = {"dac": _DAC, "dac-td3": _DAC_TD3}
 
 # The first settings. AIRL with α = 1, the temperature for which its logit is derived, too: at any
 # other, a step of life is paid by the unit of actions.
-_FIRST = crossed(
-    _FIVE,
-    {
-        "airl": {},
-        "airl-mixture": base.MIXTURE,
-        "airl-soft": {**base.MIXTURE, "temperature": 1.0},
-        **_MCP,
-        **_AND_DAC,
-    },
-)
+_SOFT: Changes = {**base.MIXTURE, "temperature": 1.0}
+_LOSSES: dict[str, Changes] = {"airl": {}, "airl-mixture": base.MIXTURE, "airl-soft": _SOFT}
+_FIRST = crossed(_FIVE, {**_LOSSES, **_MCP, **_AND_DAC})
 
 # What makes off-policy AIRL work on robots: its loss, the temperature, and how many random steps
 # come first. The released loss at 0.2 after the short warm-up is the recipe.

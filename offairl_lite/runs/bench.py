@@ -90,17 +90,11 @@ def trained_blocks(trainer: Trainer) -> Iterator[None]:
 
 def measured(options: Options, hidden: tuple[int, ...], members: int) -> dict[str, Callable]:
     """Return what makes 2 `CHUNK` updates of each member, and as many steps with their updates."""
-    config = CORRECTED.change(
-        env_id=TASK,
-        hidden=hidden,
-        batch_size=BATCH,
-        temperature=None,  # learned, as in other libraries
-        learning_starts=2 * CHUNK,
-        train_every=2 * CHUNK,
-        replay_size=100_000,
-        total_steps=10**9,
-        eval_every=10**9,
-    )
+    often = dict.fromkeys(("learning_starts", "train_every"), 2 * CHUNK)
+    never = dict.fromkeys(("total_steps", "eval_every"), 10**9)
+    # The temperature is learned, as in other libraries.
+    sizes = {"hidden": hidden, "batch_size": BATCH, "replay_size": 100_000}
+    config = CORRECTED.change(env_id=TASK, temperature=None, **sizes, **often, **never)
     compile: Literal["yes", "no"] = "yes" if options.compile else "no"
     chosen = choose_execution(config, options.device, options.threads, compile)
     trainer = Trainer(config, range(members), random_demonstrations(TASK), execution=chosen)
