@@ -91,7 +91,8 @@ class RunSpec:
         if not path.is_file():
             raise FileNotFoundError(
                 f"there is no run in {path.parent.absolute()}: it has no config.json; `offairl run "
-                f"NAME --out {folder}` starts one"
+                f"NAME --out {folder}` starts one (chapters run in the folder `book`, beside "
+                "`records`)"
             )
         content = read_json(path)
         require_format(path, content.pop("format", 1))
