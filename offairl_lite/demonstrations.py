@@ -159,6 +159,8 @@ def load(
         known = minari_storage.local_datasets() if dataset_id else {}
         trajectories = known.get(dataset_id or "", {}).get("total_episodes", 50)
     subsample = checked("subsample", subsample, Count)
+    several = Annotated[int, "of at least 1, or 'best'", lambda n: n >= 1]
+    experts = experts if experts == "best" else checked("experts", experts, several | None)
     source = {"dataset": dataset_id, "subsample": subsample, "experts": experts}
     if dataset_id is None:
         dataset_id = _made_by_experts(env_id, trajectories, experts)

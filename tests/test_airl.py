@@ -315,7 +315,7 @@ def test_demonstrations_that_nobody_learns_from_are_refused(task):
         ({"demonstrations": 3}, ValueError, "demonstrations are 3; expected a list of episodes"),
         ({"demonstrations": []}, ValueError, "expected a list of episodes"),
         ({"demonstrations": [(1, 2, 3, 4, 5)]}, ValueError, "recording 0 is a tuple; expected"),
-        ({"demonstrations": [episode(), np.zeros(3)]}, ValueError, "give their names, too"),
+        ({"demonstrations": [episode(), np.zeros(3)]}, ValueError, "give the names: dict"),
         ({"demonstrations": {"obs": np.zeros((3, 2))}}, ValueError, "expected obs and actions"),
         ({"demonstrations": lambda obs: obs[:1]}, ValueError, "episode 0, step 0: the action is"),
         ({"reward": "environment"}, ValueError, "reward_hidden has no use with"),

@@ -460,7 +460,9 @@ def test_the_best_expert_can_show_alone(minari_folder, tmp_path, monkeypatch):
     assert best.source["experts"] == "best"
     for alone, together in zip(best.transitions, all_five.transitions, strict=True):
         assert torch.equal(alone, together.view(10, 100, -1)[[2, 7]].reshape(alone.shape))
-    with pytest.raises(ValueError, match=r"experts is 'worst'; expected .*, or 'best'"):
+    with pytest.raises(
+        ValueError, match=r"experts is 'worst'; expected .* of at least 1, or 'best'"
+    ):
         load(MAZE, 2, experts="worst")
 
 

@@ -11,7 +11,7 @@ ROOT = Path(offairl_lite.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 IDS = [path.relative_to(ROOT).as_posix() for path in FILES]
 MODULE, FUNCTION, CLASS = 382, 80, 250
-PACKAGE = 11_404
+PACKAGE = 11_406
 
 
 def lengths(source):
