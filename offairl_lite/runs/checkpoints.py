@@ -118,7 +118,7 @@ def load(folder: Path, spec: RunSpec) -> Found | None:
         size = file.stat().st_size if file.is_file() else 0
         if size < metadata[file.name]:
             raise damaged(folder, file, f"it had {metadata[file.name]} bytes, and has {size}")
-    records.require_checksum(folder / "curve.csv", metadata["curve"], metadata["curve.csv"])
+    records.require_checksum(folder / "curve.csv", metadata.get("curve"), metadata["curve.csv"])
     if (reached := metadata["steps"]) > spec.config.total_steps:
         raise ValueError(
             f"{folder} has reached step {reached}; it cannot end at {spec.config.total_steps}: "
@@ -135,8 +135,8 @@ def restore(folder: Path, trainer: Trainer, checkpoint: Found, checksums: Checks
     state, metadata = checkpoint
     trainer.restore(state)
     now = checksums.update()
-    # A run that is extended may have more blocks.
-    pairs = enumerate(zip(now, metadata["blocks"], strict=False))
+    # An older checkpoint has no checksums. A run that is extended may have more blocks.
+    pairs = enumerate(zip(now, metadata.get("blocks", now), strict=False))
     if wrong := [block for block, (here, there) in pairs if here != there]:
         size = BLOCK * checksums.replay.rows[0].nbytes
         where = f"{len(wrong)} of its {len(now)} blocks, the first from byte {wrong[0] * size} on"
