@@ -18,7 +18,7 @@ HELP = {
     "either sign; the task's own (environment); one that was learned before (frozen); or, with "
     "SAC, labels instead of a reward (sqil, iq-learn). gan-gcl is in records alone.",
     "learner": "What trains the policy. sac-released is SAC as in the paper's released code.",
-    "ablation": "Another bound on the discriminator, from chapter 6. None: the gradient penalty.",
+    "ablation": "state-pairs: DAC without actions. The other: the released code's penalty.",
 }
 """What an option is for, where no group has it as a field."""
 

@@ -49,7 +49,7 @@ ROWS = [
     ("run maze-expert --hidden 64x64", "--hidden", "64x64"),
     ("run maze-expert --learner dqn", "--learner", "'dqn'", "sac"),
     ("run maze-imitation --reward happiness", "--reward", "'happiness'", "r-s"),
-    ("run maze-imitation --ablation two-sided", "--ablation", "'two-sided'", "one-sided"),
+    ("run maze-imitation --ablation two-sided", "--ablation", "'two-sided'", "state-pairs"),
     ("run maze-imitation --absorbing yes", "--absorbing", "'yes'", "bootstrap"),
     ("run maze-imitation --loss hinge", "--loss", "'hinge'", "mixture"),
     ("run maze-expert --gating max --primitives 2", "--gating", "'max'", "softmax"),

@@ -29,7 +29,7 @@ def test_a_grid_is_the_product_of_its_values():
         ("absorbing", "none", "none"),
         ("env_id", "Pendulum-v1", "Pendulum-v1"),
         ("loss", "released", "log-ratio"),
-        ("ablation", "one-sided", "one-sided"),
+        ("ablation", "penalty-on-probability", "penalty-on-probability"),
         ("ablation", None, "none"),
         ("reward_sees", (0, 1), "0x1"),
     ],
