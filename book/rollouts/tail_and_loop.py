@@ -20,7 +20,7 @@ from torch import Tensor
 from offairl_lite import demonstrations, experiments
 from offairl_lite.config import Config
 from offairl_lite.core.experience import Experience
-from offairl_lite.core.loop import Trainer, complete, rewards
+from offairl_lite.core.loop import Trainer, complete
 from offairl_lite.core.replay import Batch, LogDensity
 
 SEEDS = tuple(range(5))
@@ -39,7 +39,7 @@ class Paid(Trainer):
         """Return what a block is trained on; the logit keeps its log π."""
         experience = super().experience()
         self.paid_log_pi = self.change(self, experience.log_density)
-        reward = partial(rewards, self.discriminator, self.paid_log_pi)
+        reward = partial(self.paid, self.paid_log_pi)
         return replace(experience, reward=reward)
 
 
