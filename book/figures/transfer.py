@@ -10,7 +10,7 @@ from IPython.display import HTML
 import plots
 from drawing import diagram, film, outline, percent, table
 from offairl_lite.core.rollouts import rollout
-from offairl_lite.envs.models import GOAL, START
+from offairl_lite.envs.models import GOAL, START, WALL_RADIUS, walls
 from offairl_lite.runs import records
 
 RECORDS = Path("records")
@@ -197,31 +197,35 @@ def three_forms(errors):
 
 
 def way_back(moved, shown, carried, there):
-    """Draw the returns of new policies, and their paths."""
+    """Draw the returns of new policies, and their paths, side by side."""
     with plots.style():
-        fig, axes = plt.subplots(
-            2, 1, figsize=(4.6, 6.0), height_ratios=(4, 5)
+        fig, (curve, world) = plt.subplots(
+            1, 2, figsize=(5.0, 2.35), layout="compressed"
         )
         plots.curve(
-            axes[0], moved.steps / 1_000, moved.returns, "", plots.AGENT
+            curve, moved.steps / 1_000, moved.returns, "", plots.AGENT
         )
-        plots.level(axes[0], shown, "demonstrations", plots.EXPERT)
-        plots.level(axes[0], carried.mean(), "old policies", plots.COPY)
-        axes[0].set(xlabel="thousand steps", ylabel="score")
+        plots.level(curve, shown, "demonstrations", plots.EXPERT)
+        plots.level(curve, carried.mean(), "old policies", plots.COPY)
+        curve.set(xlabel="thousand steps", ylabel="score")
         ticks = (-26.5, -16.5, -6.5)
-        axes[0].set_yticks(ticks, [percent(value) for value in ticks])
-        axes[0].set_ylim(-34, -4)
-        image = plots.reward_map(axes[1], there.reward, "Left")
+        curve.set_yticks(ticks, [percent(value) for value in ticks])
+        curve.set(ylim=(-34, -4), box_aspect=1)
+        curve.locator_params(axis="x", integer=True)
+        image = plots.reward_map(world, there.reward, "Left")
         for path in walk(moved.policy, LEFT):
-            axes[1].plot(
+            world.plot(
                 *path.T,
                 color=plots.AGENT,
                 lw=2.6,
                 path_effects=EDGE,
                 zorder=4,
             )
-        axes[1].axis("off")
-        fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
+        low, high = walls("Left").min(), walls("Left").max()
+        ends = low - WALL_RADIUS, high + WALL_RADIUS
+        world.set(xlim=ends, ylim=ends)
+        world.axis("off")
+        fig.colorbar(image, ax=world, label=r"$r_\psi(s)$")
         plt.show()
 
 
@@ -365,6 +369,11 @@ KINDS = {
 }
 
 
+RANKED_ABOVE = (
+    "failures that the<br>reward ranks above<br>the demonstrations"
+)
+
+
 def where_rewards_lead(found, blamed, backwards):
     """Return two tables of arrivals: after held and after fresh steps."""
     reached = dict(found)
@@ -379,8 +388,9 @@ def where_rewards_lead(found, blamed, backwards):
             with_way_back = name == "exact logit"
             for each in (name, "back") if with_way_back else (name,):
                 counts = reached[each]
-                bad, failed = "", 10 - sum(counts[:2])
-                if each in blamed and failed:
+                failed = 10 - sum(counts[:2])
+                bad = "no failures"
+                if failed:
                     bad = f"{sum(blamed[each][:2])} of {failed}"
                 dots = [_seeds(count, 5) for count in counts]
                 title = names.get(each, each)
@@ -393,7 +403,7 @@ def where_rewards_lead(found, blamed, backwards):
     return _tables(
         (
             "After held steps: the reward decides.",
-            table([*heads, "failures paid<br>above demos"], held),
+            table([*heads, RANKED_ABOVE], held),
         ),
         (
             "After fresh steps hardly any arrive, even on the true reward.",

@@ -223,10 +223,10 @@ def networks(kept: Mapping[str, Mapping]) -> None:
 def third(
     mazes: Mapping[str, Mapping], bodies: Mapping[str, Mapping]
 ) -> None:
-    """Draw what new agents reach in a third maze, and with a third body."""
+    """Draw what new agents reach in third mazes, and with a third body."""
     with plots.style():
         _, axes = plt.subplots(
-            2, 1, figsize=(5.4, 4.9), height_ratios=(6, 4)
+            3, 1, figsize=(5.4, 6.2), height_ratios=(6, 2, 4)
         )
     rows = {
         "r(s), none": "r(s) of Left alone",
@@ -248,6 +248,14 @@ def third(
     axes[0].legend(
         handletextpad=0.1, loc="center", bbox_to_anchor=(0.45, 0.45)
     )
+    lower = {"Left alone": "none", "Left and Right": "sides"}
+    for y, (worlds, color) in enumerate(
+        zip(lower.values(), (plots.ORANGE, plots.BLUE), strict=True)
+    ):
+        for form, side in (("r(s)", -0.15), ("r(s, a)", 0.15)):
+            ends = mazes["sides"][f"{form}, {worlds}, low"]
+            _strips(axes[1], [ends], color, side, first=y)
+    _name_strips(axes[1], [*lower], "return in the lower-wall maze")
     ants = {
         "whole state, one body": "able",
         "whole state, two bodies": "both",
@@ -258,8 +266,8 @@ def third(
     for y, (name, color) in enumerate(
         zip(ants.values(), colors, strict=True)
     ):
-        _strips(axes[1], [bodies["new"][name]["true"]], color, first=y)
-    _name_strips(axes[1], [*ants], "return of DisabledAnt")
+        _strips(axes[2], [bodies["new"][name]["true"]], color, first=y)
+    _name_strips(axes[2], [*ants], "return of DisabledAnt")
     plt.show()
 
 

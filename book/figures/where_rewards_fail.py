@@ -193,41 +193,34 @@ def hills_and_marshes(values, hill_and_marsh, explained, kept):
 
 
 def suspects(truth, rows):
-    """Draw hill, marsh and depth of every reward, and the imitators."""
-    titles = (
-        "marsh, c",
-        "hill, b",
-        "depth, c / b (m)",
-        "steps in the marsh",
-    )
-    of_truth = (
-        *(k / truth.std() for k in (MARSH_COST, 1)),
-        MARSH_COST,
-        None,
-    )
+    """Draw marsh, hill and depth of every reward."""
+    titles = "marsh, c", "hill, b", "depth, c / b (m)"
+    of_truth = MARSH_COST / truth.std(), 1 / truth.std(), MARSH_COST
+    drawn = [*zip(*rows, strict=True)][: len(titles)]
+    losses = [name.split()[0] for name in SUSPECTS]
     with plots.style():
-        _fig, axes = plt.subplots(2, 2, figsize=(4.9, 7.2), sharey=True)
+        _fig, axes = plt.subplots(1, 3, figsize=(4.9, 4.6), sharey=True)
         for ax, title, values, true in zip(
-            axes.flat,
-            titles,
-            zip(*rows, strict=True),
-            of_truth,
-            strict=True,
+            axes, titles, drawn, of_truth, strict=True
         ):
-            for y, each in enumerate(values):
-                color = SHADES[list(SUSPECTS)[y].split()[0]]
+            for y, (loss, each) in enumerate(
+                zip(losses, values, strict=True)
+            ):
+                color = SHADES[loss]
+                if y and color != SHADES[losses[y - 1]]:
+                    ax.axhline(y - 0.5, color=plots.GREY, lw=0.6)
                 if each is None:
-                    text = "one seed has no hill"
+                    text = "one seed\nhas no hill"
                     ax.text(0.1, y, text, color=color, va="center")
                     continue
                 spread = y + np.linspace(-0.2, 0.2, len(each))
                 ax.plot(each, spread, "o", color=color, ms=5, alpha=0.8)
-            if true is not None:
-                ax.axvline(true, color=plots.GREEN, ls="--", lw=1.6)
+            ax.axvline(true, color=plots.GREEN, ls="--", lw=1.6)
             ax.set_title(title, fontsize=10)
             ax.set_yticks(range(len(rows)), map(_short, SUSPECTS))
             ax.set_ylim(len(rows) - 0.5, -0.5)
             ax.set_xlim(min(0, ax.get_xlim()[0]))
+            ax.grid(axis="y", visible=False)
         plt.show()
 
 
