@@ -67,10 +67,14 @@ def test_the_mirror_image_of_disabledant_has_weak_left_legs():
     assert legs == [[4, 4, 3, 3], [1, 1, 2, 2]]
 
 
+def text_of_the_page(name="12_two_worlds"):
+    cells = json.loads((RECORDS.parent / f"{name}.ipynb").read_text("utf-8"))["cells"]
+    return "".join("".join(cell["source"]) for cell in cells)
+
+
 def test_the_page_counts_the_arrivals_in_the_third_maze():
     new = rollouts.read("third_maze")["new"]
-    cells = json.loads((RECORDS.parent / "12_two_worlds.ipynb").read_text("utf-8"))["cells"]
-    page = "".join("".join(cell["source"]) for cell in cells)
+    page = text_of_the_page()
     told = {
         "r(s), none": (10, "On it all ten new agents arrive"),
         "r(s), turned": (9, "and nine of ten on $r(s)$ of two worlds with turned controls"),
@@ -83,6 +87,26 @@ def test_the_page_counts_the_arrivals_in_the_third_maze():
         ends = [new[f"{worlds}, {maze}"] for maze in ("moved", "mirrored")]
         assert (np.concatenate(ends) > -15).sum() == arrive
         assert text in page
+    with_own, with_mirrored = (
+        int((new[f"r(s, a), none, {maze}"] > -15).sum()) for maze in ("moved", "mirrored")
+    )
+    assert (with_own, with_mirrored) == (3, 5)
+    assert "On $r(s, a)$ of one world 3 of 5 arrive with their own controls and 5 of 5" in page
+
+
+def test_two_worlds_are_not_always_ahead_of_one():
+    """From one start and for r(s, a): behind at ten thousand and at a million steps."""
+    kept = rollouts.read("12_two_worlds")
+    one, two = (
+        np.median(np.array(kept[f"careful, one start, {worlds}, r(s, a)"])[..., 0], 1)
+        for worlds in ("dry", "dry and wet")
+    )
+    behind = np.array(kept["steps"])[[1, 3]]
+    assert behind.tolist() == [10_000, 1_000_000]
+    assert (two[[1, 3]] < one[[1, 3]]).all()
+    assert "for $r(s, a)$, at ten thousand and at a million steps, their median" in (
+        text_of_the_page()
+    )
 
 
 @pytest.mark.parametrize("form", third_maze.FORMS)
@@ -148,6 +172,22 @@ def test_the_wind_blows_east_with_a_third_of_a_motor_s_force():
     pushed = walk(second_marsh.MARSH, np.tile(np.float32([second_marsh.WIND, 0]), (5, 1)))
     np.testing.assert_allclose(blown - blown[0], pushed - pushed[0], atol=1e-6)
     assert blown[-1, 0] > blown[0, 0] + 1e-3
+
+
+def test_which_imitators_walk_through_the_marsh():
+    """The straight way crosses it in five steps."""
+    kept = rollouts.read("10_where_rewards_fail")["marsh"]
+    wet = {folder: np.array(of["wet"]) for folder, of in kept.items()}
+    with_airl = wet["marsh-imitation-long-demo/implementation-4"]
+    few, many = (
+        wet[f"decides-marsh-demo/{name}/implementation-4"] for name in ("released", "released-50")
+    )
+    for group in (with_airl, few):
+        assert (group > 3).sum() >= 4
+    assert (many == 0).all()
+    assert "most imitators walk through the marsh; after 50,000 none does." in (
+        text_of_the_page("10_where_rewards_fail")
+    )
 
 
 def test_the_fit_finds_hill_and_marsh():
