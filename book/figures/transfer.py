@@ -370,7 +370,7 @@ KINDS = {
 
 
 RANKED_ABOVE = (
-    "failures that the<br>reward ranks above<br>the demonstrations"
+    "failures that<br>the reward<br>ranks above the<br>demonstrations"
 )
 
 
