@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import re
+import runpy
 import shlex
 import sys
 from contextlib import nullcontext
@@ -807,6 +808,23 @@ def test_the_learned_return_tells_which_seeds_have_found_the_way():
     of = [[row.learned_return for row in ants.rows if row.seed == seed] for seed in ants.seeds]
     assert sum(last > 0.7 * first for first, *_, last in of) == 4
     assert ants.returns[:, -1].max() < 100
+
+
+@pytest.mark.parametrize(("picture", "above", "below"), [("slow", 3_500, 3_200), ("weak", 300, 50)])
+def test_a_strip_shows_what_its_caption_says(picture, above, below, monkeypatch):
+    """Both episodes last to their end, and the upper one returns more."""
+    monkeypatch.syspath_prepend(str(ROOT / "book/_static"))
+    import compared
+
+    drawn = {}
+    monkeypatch.setattr(compared, "draw", lambda *given, **_: drawn.update([given]))
+    runpy.run_path(str(ROOT / f"book/_static/{picture}.py"))
+    upper, lower = (compared.played(*row)[1] for row in drawn[picture].items())
+    assert upper.lengths == lower.lengths == 1_000
+    assert upper.returns > above > below > lower.returns
+    (shown,) = re.findall(rf"_static/{picture}\.png\n(.*?)\n```", PAGE, re.DOTALL)
+    assert len(shown.rpartition("\n\n")[2].split()) <= 40
+    assert (ROOT / f"book/_static/{picture}.png").stat().st_size <= 250_000
 
 
 def test_what_is_printed_is_of_the_records():
