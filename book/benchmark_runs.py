@@ -250,29 +250,6 @@ def clear(
     return ahead, behind
 
 
-def separated(cells: Cells) -> list[str]:
-    """Say where state-only DAC differs clearly from DAC and the recipe.
-
-    DAC sees the action as well, the recipe has AIRL's form as well. A
-    comparison without its runs is left out.
-    """
-    sentences = []
-    for other, what in (("dac", "action"), ("airl", "form")):
-        name = f"**The {what}**, by {METHODS[other]} against state-only DAC"
-        parts = []
-        for block in COUNTS:
-            if not _complete(cells, block, (other, "state-dac")):
-                continue
-            ahead, behind = clear(cells, block, other, "state-dac")
-            parts.append(
-                f"with {BLOCKS[block].lower()} clearly ahead on "
-                f"{_names(ahead)} and behind on {_names(behind)}"
-            )
-        if parts:
-            sentences.append(f"{name}: {'; '.join(parts)}.")
-    return sentences
-
-
 def noise(robots: Iterable[str] = ROBOTS) -> HTML:
     """Return what the experts return, and what their demonstrations do."""
     kept, rows = clones(), []
@@ -316,23 +293,6 @@ def lead(
         found += sign * float(interquartile_mean(ends))
     low, high = np.percentile(drawn, (2.5, 97.5)) / len(ones)
     return found / len(ones), float(low), float(high)
-
-
-def networks(cells: Cells) -> HTML:
-    """Return how methods compare from four demonstrations, at 64-64."""
-    small = small_clones()
-
-    def ends(method: str) -> list[Ends | None]:
-        row = [cells.get(("4", robot, method)) for robot in ROBOTS]
-        return [cell and cell.ends for cell in row]
-
-    rows = {
-        "cloning, 256-256": ends("clone"),
-        "cloning, 64-64": [small[robot] for robot in ROBOTS],
-        "the recipe, 64-64": ends("airl"),
-        "the recipe from a clone, both 64-64": ends("airl-warm"),
-    }
-    return _compared("Four demonstrations", ROBOTS, rows)
 
 
 def costs(cells: Cells) -> HTML:
@@ -648,6 +608,10 @@ def block_table(cells: Cells, block: str) -> str:
         about = f"<b>{METHODS[method]}</b>{folded}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
+        if (block, method) == ("4", "clone"):
+            small = [text_of(ends) for ends in small_clones().values()]
+            name = "<b>cloning, with networks of 64-64</b>"
+            lines += [_title(name, width), _row(small)]
     if lines:
         lines.insert(0, _row(_heads(robots), "th"))
     if waiting:
@@ -828,7 +792,12 @@ def draw_clones(cells: Cells) -> Figure:
             (66, height),
             color=color,
             va="center",
-            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.8},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": color,
+                "lw": 0.8,
+                "relpos": (0, 0.5),
+            },
         )
     ax.set(xscale="log", xlim=(0.85, 190), ylim=(-8, 122))
     ax.set_xticks(counts, list(ends))

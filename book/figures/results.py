@@ -73,6 +73,19 @@ NAMES = {
 }
 """What the chapter calls the paper's claims."""
 
+SAYS = {
+    1: "of the four is <code>r(s)</code>",
+    2: "does off-policy AIRL, on Hopper and Walker2d; on HalfCheetah and "
+    "Ant it is comparable",
+    3: "with two weak legs: the transfer to it fails",
+    4: "the old policy finds the new way, with high variance",
+    5: "improve imitation on HalfCheetah and Ant",
+    6: "training the gate over the primitives alone fails",
+    7: "make the outcome vary less than SAC does",
+    8: "make it better, and vary less",
+}
+"""What each claims, after its name."""
+
 
 def _listed(names):
     *first, last = names
@@ -140,7 +153,8 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
         word = VERDICTS[n]
         color, sign = MARKS[word]
         verdict = f'<b style="color: {color}">{sign}</b> {word}'
-        cells = f"<b>{NAMES[n]}</b> ({n})", verdict, EVIDENCE[n]
+        joined = f"{NAMES[n]}</b>{':' if n in (4, 6) else ''} {SAYS[n]}"
+        cells = f"<b>{joined} ({n})", verdict, EVIDENCE[n]
         return f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
 
     def heading(text):

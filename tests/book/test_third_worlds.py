@@ -76,22 +76,18 @@ def test_the_page_counts_the_arrivals_in_the_third_maze():
     new = rollouts.read("third_maze")["new"]
     page = text_of_the_page()
     told = {
-        "r(s), none": (10, "On it all ten new agents arrive"),
-        "r(s), turned": (9, "and nine of ten on $r(s)$ of two worlds with turned controls"),
-        "r(s, a), none": (8, "On $r(s, a)$ it is 8 of 10 from one world, "),
-        "r(s, a), turned": (9, "9 with turned controls and "),
-        "r(s, a), weak": (7, "7 with weak motors"),
+        "r(s), none": "$r(s)$ of one world",
+        "r(s), turned": "$r(s)$ of two, one with turned controls",
+        "r(s, a), none": "$r(s, a)$ of one world",
+        "r(s, a), turned": "$r(s, a)$ of two, one with turned controls",
+        "r(s, a), weak": "$r(s, a)$ of two, one with weak motors",
     }
     assert {key.rsplit(", ", 1)[0] for key in new} == {*told}
-    for worlds, (arrive, text) in told.items():
+    for worlds, name in told.items():
         ends = [new[f"{worlds}, {maze}"] for maze in ("moved", "mirrored")]
-        assert (np.concatenate(ends) > -15).sum() == arrive
-        assert text in page
-    with_own, with_mirrored = (
-        int((new[f"r(s, a), none, {maze}"] > -15).sum()) for maze in ("moved", "mirrored")
-    )
-    assert (with_own, with_mirrored) == (3, 5)
-    assert "On $r(s, a)$ of one world 3 of 5 arrive with their own controls and 5 of 5" in page
+        own, mirrored = (int((of_maze > -15).sum()) for of_maze in ends)
+        assert {len(of_maze) for of_maze in ends} == {5}
+        assert f"| {name} | {own} | {mirrored} |" in page
 
 
 def test_two_worlds_are_not_always_ahead_of_one():
