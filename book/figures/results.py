@@ -74,17 +74,17 @@ NAMES = {
 """What the chapter calls the paper's claims."""
 
 SAYS = {
-    1: "of the four is <code>r(s)</code>",
-    2: "does off-policy AIRL, on Hopper and Walker2d; on HalfCheetah and "
+    1: "of the four it is <code>r(s)</code>",
+    2: "off-policy AIRL does, on Hopper and Walker2d; on HalfCheetah and "
     "Ant it is comparable",
-    3: "with two weak legs: the transfer to it fails",
-    4: "the old policy finds the new way, with high variance",
-    5: "improve imitation on HalfCheetah and Ant",
-    6: "training the gate over the primitives alone fails",
-    7: "make the outcome vary less than SAC does",
-    8: "make it better, and vary less",
+    3: "the transfer to two weak legs fails",
+    4: "some old policies find the new way, some do not (“high variance”)",
+    5: "they improve imitation on HalfCheetah and Ant",
+    6: "training it alone, over old primitives, fails",
+    7: "with them the outcome varies less than with SAC",
+    8: "with them the outcome is better, and varies less",
 }
-"""What each claims, after its name."""
+"""What each claims."""
 
 
 def _listed(names):
@@ -153,8 +153,8 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
         word = VERDICTS[n]
         color, sign = MARKS[word]
         verdict = f'<b style="color: {color}">{sign}</b> {word}'
-        joined = f"{NAMES[n]}</b>{':' if n in (4, 6) else ''} {SAYS[n]}"
-        cells = f"<b>{joined} ({n})", verdict, EVIDENCE[n]
+        claim = f"<b>{NAMES[n]}</b> ({n}): {SAYS[n]}"
+        cells = claim, verdict, EVIDENCE[n]
         return f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
 
     def heading(text):
