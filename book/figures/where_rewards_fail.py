@@ -90,6 +90,8 @@ def _draw_marsh(ax, value, title):
     looks = {"colors": "white", "linewidths": 0.6, "alpha": 0.6}
     ax.contour(middles, middles, scaled, 12, **looks)
     plots.maze(ax, None)
+    for mark in ax.lines:  # start and goal, above the paths
+        mark.set_zorder(5)
     looks = {"facecolor": "none", "edgecolor": "white", "hatch": "//"}
     low = np.maximum(MARSH[0], FACES[0])  # what the wall leaves of it
     ax.add_patch(Rectangle(low, *(MARSH[1] - low), zorder=1.5, **looks))
