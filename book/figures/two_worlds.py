@@ -226,18 +226,18 @@ def third(
     """Draw what new agents reach in third mazes, and with a third body."""
     with plots.style():
         _, axes = plt.subplots(
-            3, 1, figsize=(5.4, 6.2), height_ratios=(6, 2, 4)
+            3, 1, figsize=(5.4, 7), height_ratios=(6, 4, 4)
         )
     rows = {
-        "r(s), none": "r(s) of Left alone",
+        "r(s), none": "r(s), Left alone",
         "r(s), turned": "r(s), + turned controls",
-        "r(s, a), none": "r(s, a) of Left alone",
+        "r(s, a), none": "r(s, a), Left alone",
         "r(s, a), turned": "r(s, a), + turned controls",
         "r(s, a), weak": "r(s, a), + weak motors",
     }
     for maze, color, side, label in (
         ("moved", plots.ORANGE, -0.15, "wall moved"),
-        ("mirrored", plots.BLUE, 0.15, "and mirrored"),
+        ("mirrored", plots.BLUE, 0.15, "moved and mirrored"),
     ):
         ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
         _strips(axes[0], ends, color, side, label)
@@ -245,16 +245,18 @@ def third(
     names = [*rows.values(), "true reward"]
     _name_strips(axes[0], names, "return in PointMazeRight")
     axes[0].set_xticks((-25, -20, -15, -10))
-    axes[0].legend(
-        handletextpad=0.1, loc="center", bbox_to_anchor=(0.45, 0.45)
-    )
-    lower = {"Left alone": "none", "Left and Right": "sides"}
-    for y, (worlds, color) in enumerate(
-        zip(lower.values(), (plots.ORANGE, plots.BLUE), strict=True)
-    ):
-        for form, side in (("r(s)", -0.15), ("r(s, a)", 0.15)):
-            ends = mazes["sides"][f"{form}, {worlds}, low"]
-            _strips(axes[1], [ends], color, side, first=y)
+    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1)}
+    axes[0].legend(handletextpad=0.1, ncols=2, **above)
+    lower = {
+        f"{form}, {name}": (f"{form}, {worlds}, low", color)
+        for name, worlds, color in (
+            ("Left alone", "none", plots.ORANGE),
+            ("Left and Right", "sides", plots.BLUE),
+        )
+        for form in ("r(s)", "r(s, a)")
+    }
+    for y, (row, color) in enumerate(lower.values()):
+        _strips(axes[1], [mazes["sides"][row]], color, first=y)
     _name_strips(axes[1], [*lower], "return in the lower-wall maze")
     ants = {
         "whole state, one body": "able",
