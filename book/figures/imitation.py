@@ -244,7 +244,7 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
     ABOUT = {"A": "expert A leaves", "B": "expert B stays"}
     WHEN = {"A": 4, "B": 50}
 
-    def draw_game(ax, policy, teacher, color, name, steps):
+    def draw_game(ax, policy, teacher, color, steps):
         for p, paint, place in (
             (teacher, "black", rooms + 0.8),
             (policy, color, rooms + 1.2),
@@ -254,22 +254,31 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             ax.bar(place, -share[:, LEFT], 0.4, color=paint)
         ax.axhline(0, color="black", lw=0.8)
         ended = [f"{100 * gone(p, steps):.0f} %" for p in (policy, teacher)]
-        text = "{}\ngone: {}, expert {}".format(_formula(name), *ended)
-        ax.set_title(text, color=color, size="medium")
+        ax.set_title("gone {} (expert {})".format(*ended), fontsize=10)
         ax.grid(False)
         ax.set(ylim=(-0.5, 0.5), xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
-        ax.set_yticklabels(["40 % left", "0", "40 % right"])
+        ax.set_yticklabels(["left\n40 %", "0", "right\n40 %"])
 
     with plots.style():
-        # Both experts in one column, which a phone can show, too.
-        fig = plt.figure(figsize=(4.3, 11.4))
-        for part, who in zip(fig.subfigures(2, 1), EXPERTS, strict=True):
-            part.suptitle(ABOUT[who])
-            axes = part.subplots(3, 1, sharex=True, sharey=True)
-            for ax, name in zip(axes, REWARDS, strict=True):
+        # Narrow, so that a phone can show its text.
+        fig, axes = plt.subplots(
+            3, 2, figsize=(4.8, 5.4), sharex=True, sharey=True
+        )
+        for row, name in zip(axes, REWARDS, strict=True):
+            row[0].set_ylabel(_formula(name), color=COLORS[name])
+            for ax, who in zip(row, EXPERTS, strict=True):
                 policies = played[who, name], EXPERTS[who]
-                draw_game(ax, *policies, COLORS[name], name, WHEN[who])
-            axes[-1].set_xlabel("room")
+                draw_game(ax, *policies, COLORS[name], WHEN[who])
+        above = {
+            "xycoords": "axes fraction",
+            "textcoords": "offset points",
+            "ha": "center",
+        }
+        for ax, who in zip(axes[0], EXPERTS, strict=True):
+            ax.annotate(ABOUT[who], (0.5, 1), (0, 25), size=12, **above)
+        for ax in axes[-1]:
+            ax.set_xlabel("room")
+        fig.align_ylabels()
         plt.show()
 
 

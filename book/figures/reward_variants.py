@@ -117,9 +117,20 @@ def variants(NAMES, final, COLORS, correlation, shown):
     ]
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(5.4, 3.3), sharey=True)
+        right = {
+            "xycoords": ("axes fraction", "data"),
+            "textcoords": "offset points",
+            "ha": "right",
+        }
         for i, name in enumerate(NAMES):
-            _dots(axes[0], i, _score(final[name], shown), COLORS[name])
-            _dots(axes[1], i, correlation[name], COLORS[name])
+            score, color = _score(final[name], shown), COLORS[name]
+            _dots(axes[0], i, score, color)
+            _dots(axes[1], i, correlation[name], color)
+            median = f"{np.median(score):.0f}".replace("-", "−")
+            look = {**right, "va": "center", "color": color}
+            axes[0].annotate(median, (1, i), (46, 0), **look)
+        right["xycoords"] = "axes fraction"
+        axes[0].annotate("median", (1, 1.02), (54, 0), **right)
         _score_axis(axes[0])
         axes[1].axvline(0, color=plots.GREY, lw=1)
         axes[0].set(yticks=range(5), yticklabels=LABELS, ylim=(4.5, -0.5))
@@ -127,6 +138,7 @@ def variants(NAMES, final, COLORS, correlation, shown):
             axes[0].get_yticklabels(), NAMES, strict=True
         ):
             label.set_color(COLORS[name])
+        axes[1].tick_params(left=False)  # or medians look like its own
         axes[1].set(xlim=(-1.08, 1.08), xticks=(-1, 0, 1))
         axes[1].set_xlabel("learned and true return:\ncorrelation")
         plt.show()
@@ -268,7 +280,7 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
     """Draw scores and values of the variants, in groups of what is paid."""
     assert len(counted) == sum(size for _, size in PARTS)
     with plots.style():
-        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.6), sharey=True)
+        fig, axes = plt.subplots(2, 1, figsize=(4.8, 7.6), sharey=True)
         for row, form in enumerate(FORMS):
             for n, y in ((1, row - 0.2), (2, row + 0.2)):
                 name = f"implementation-{n}{form}"
@@ -289,9 +301,15 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
             ax.set_yticks(range(len(FORMS)), [WORDS[x] for x in FORMS])
             ax.grid(False, axis="y")
         axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
-        for n, y, name in ((1, -0.2, "$r(s, a)$"), (2, 0.2, "$r(s)$")):
-            color = COLORS[f"implementation-{n}"]
-            axes[0].text(50, y, name, color=color, va="center", ha="center")
+        key = [
+            axes[0].plot([], [], "o", color=COLORS[name], label=label)[0]
+            for name, label in (
+                ("implementation-1", "$r(s, a)$ in $f$"),
+                ("implementation-2", "$r(s)$ in $f$"),
+            )
+        ]
+        place = {"loc": "outside upper center", "ncols": 2}
+        fig.legend(handles=key, fontsize="medium", **place)
         axes[1].set(xscale="log", xlabel="|mean Q| at the end")
         axes[1].set_xticks([1, 1e3, 1e6])
         axes[1].xaxis.set_minor_locator(NullLocator())
