@@ -38,6 +38,7 @@ RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r i
 LENGTH = {"total_steps"}
 VARIED = {
     "sqil-learned-demo/HalfCheetah-sqil": {"temperature"},
+    "iq-learn-cold-demo/HalfCheetah-iq-learn": {"temperature"},
     "maze-airl-ppo-demo/gan-gcl": {"reward"},
     "maze-imitation-2-demo": {"reward"},
     "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
