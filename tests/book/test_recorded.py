@@ -38,7 +38,10 @@ RUNS = sorted({r for panels in FIGURES.values() for c in panels.values() for r i
 LENGTH = {"total_steps"}
 VARIED = {
     "sqil-learned-demo/HalfCheetah-sqil": {"temperature"},
-    "iq-learn-cold-demo/HalfCheetah-iq-learn": {"temperature"},
+    **{
+        f"iq-learn-cold-demo/{robot}-iq-learn": {"temperature"}
+        for robot in ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt", "Ant")
+    },
     "maze-airl-ppo-demo/gan-gcl": {"reward"},
     "maze-imitation-2-demo": {"reward"},
     "maze-retraining-cool-full/8-gate-helped": {"eval_every", "temperature"},
