@@ -269,9 +269,9 @@ def noise(robots: Iterable[str] = ROBOTS) -> HTML:
     return table(heads, rows)
 
 
-def small_clones() -> dict[str, Ends]:
-    """Return clones of four demonstrations with 64-64, in percent."""
-    small = rollouts.read("benchmark")["4-small"]
+def small_clones(block: str = "4") -> dict[str, Ends]:
+    """Return clones with networks of 64-64, in percent, by robot."""
+    small = rollouts.read("benchmark")[f"{block}-small"]
     return {
         robot: 100 * small[robot]["returns"] / expert(robot)[0]
         for robot in ROBOTS
@@ -608,8 +608,8 @@ def block_table(cells: Cells, block: str) -> str:
         about = f"<b>{METHODS[method]}</b>{folded}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
-        if (block, method) == ("4", "clone"):
-            small = [text_of(ends) for ends in small_clones().values()]
+        if method == "clone" and block in ("1", "4"):
+            small = [text_of(ends) for ends in small_clones(block).values()]
             name = "<b>cloning, with networks of 64-64</b>"
             lines += [_title(name, width), _row(small)]
     if lines:

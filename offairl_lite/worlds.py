@@ -177,7 +177,7 @@ def train(
         progress: whether a bar is shown.
 
     Raises:
-        ValueError: it is one world, or shapes, ends of blocks or `config` do not fit together.
+        ValueError: fewer than two worlds, or their spaces, ends of blocks or `config` do not fit.
     """
     with ExitStack() as afterwards:
         afterwards.callback(torch.set_num_threads, torch.get_num_threads())

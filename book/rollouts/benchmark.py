@@ -56,7 +56,8 @@ def shown(block: str, robot: str) -> demonstrations.Demonstrations:
 
 def cell(block: str, robot: str) -> dict[str, Any]:
     """Clone ten seeds, and return what each returns without noise."""
-    hidden = SMALL if block == "4-small" else settings()["hidden"]
+    small = block.endswith("-small")
+    hidden = SMALL if small else settings()["hidden"]
     given, start = shown(block, robot), time.process_time()
     policy = cloning.clone(given, SEEDS, hidden=hidden, progress=False)
     seconds = time.process_time() - start
@@ -81,7 +82,7 @@ def record() -> dict[str, Any]:
     ]
     places += [
         f"{block}/{robot}"
-        for block in ("4-small", *BETWEEN)
+        for block in ("1-small", "4-small", *BETWEEN)
         for robot in PLAN["4"]["clone"]
     ]
     found: dict[str, Any] = {"settings": settings()}

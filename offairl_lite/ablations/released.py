@@ -9,7 +9,6 @@ from offairl_lite.config import Config, DiscriminatorConfig, SACConfig
 from offairl_lite.core import policies
 from offairl_lite.core.discriminator import Discriminator, Mixing, Transitions, make_discriminator
 from offairl_lite.core.networks import TINY
-from offairl_lite.core.policies import MultiplicativeGaussian, SquashedGaussian, make_actor
 from offairl_lite.core.rewards import log_odds
 from offairl_lite.core.shapes import Action, Obs, Params, Vector
 
@@ -30,7 +29,7 @@ class ReleasedSACConfig(SACConfig):
     """The product of Gaussians; `released`: with standard deviations in the place of variances."""
 
 
-class ReleasedGaussian(SquashedGaussian):
+class ReleasedGaussian(policies.SquashedGaussian):
     """The squashed Gaussian with the density of the released code."""
 
     def log_prob(self, params: Params, obs: Obs, pre_tanh: Action) -> Vector:
@@ -38,7 +37,7 @@ class ReleasedGaussian(SquashedGaussian):
         return policies.gaussian_log_density(torch.tanh(pre_tanh), *self.distribution(params, obs))
 
 
-class ReleasedProduct(MultiplicativeGaussian):
+class ReleasedProduct(policies.MultiplicativeGaussian):
     """The product of primitives with standard deviations in the place of variances."""
 
     def distribution(self, params: Params, obs: Obs) -> tuple[Action, Action]:
@@ -49,7 +48,7 @@ class ReleasedProduct(MultiplicativeGaussian):
         return (precision * mean).sum(-2) / total, (-total.log()).clamp(*self.log_std_range)
 
 
-class ReleasedDensityOfProduct(MultiplicativeGaussian):
+class ReleasedDensityOfProduct(policies.MultiplicativeGaussian):
     """The exact product with the density of the released code."""
 
     log_prob = ReleasedGaussian.log_prob
@@ -61,16 +60,16 @@ class ReleasedPolicy(ReleasedProduct):
     log_prob = ReleasedGaussian.log_prob
 
 
-@make_actor.register
-def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> SquashedGaussian:
-    exact = make_actor.dispatch(SACConfig)(config, obs_dim, action_dim)
+@policies.make_actor.register
+def _(config: ReleasedSACConfig, obs_dim: int, action_dim: int) -> policies.SquashedGaussian:
+    exact = policies.make_actor.dispatch(SACConfig)(config, obs_dim, action_dim)
     density = config.log_density == "released"
     if config.primitives is None:
-        kind = ReleasedGaussian if density else SquashedGaussian
+        kind = ReleasedGaussian if density else policies.SquashedGaussian
     elif config.composition == "released":
         kind = ReleasedPolicy if density else ReleasedProduct
     else:
-        kind = ReleasedDensityOfProduct if density else MultiplicativeGaussian
+        kind = ReleasedDensityOfProduct if density else policies.MultiplicativeGaussian
     return kind(**vars(exact))
 
 

@@ -162,7 +162,7 @@ def rollout(
         actions: what is done instead.
 
     Raises:
-        ValueError: arguments do not fit, an episode does not end, or a task's number is `faulty`.
+        ValueError: arguments do not fit, an episode has no end, or a number is NaN or huge.
     """
     each = episode_seeds(seeds, episodes, purpose, first)
     if len(seeds) != len(policy):

@@ -18,7 +18,7 @@ HELP = {
     "either sign; the task's own (environment); one that was learned before (frozen); or, with "
     "SAC, labels instead of a reward (sqil, iq-learn). gan-gcl is in records alone.",
     "learner": "What trains the policy. sac-released is SAC as in the paper's released code.",
-    "ablation": "state-pairs: DAC without actions. The other: the released code's penalty.",
+    "ablation": "DAC without actions (state-pairs), or the penalty of the paper's released code.",
 }
 """What an option is for, where no group has it as a field."""
 

@@ -182,6 +182,27 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     ahead = "clearly ahead of cloning on Hopper, and clearly behind on HalfCheetah and CustomAnt"
     assert f"{ahead}; on Walker2d and Ant the difference is not clear" in text
 
+    def averages(block, *methods):
+        return [f"{benchmark_runs.average(cells, block, method):.0f}" for method in methods]
+
+    warm, clone, recipe, dac = averages("4", "airl-warm", "clone", "airl", "dac")
+    said = f"comes to {warm} % on average over the five robots; cloning, the recipe and DAC to"
+    assert f"{said} {clone}, {recipe} and {dac}." in text
+    assert (
+        "It comes to {} % on average, cloning to {}.".format(*averages("1", "airl", "clone"))
+        in text
+    )
+    (states,) = averages("4", "state-dac")
+    assert f"It comes to {states} % on average, is clearly ahead of the recipe on Walker2d" in text
+    cold = [
+        100
+        * records.read(RECORDS / f"iq-learn-cold-demo/{robot}-iq-learn").returns[:, -1]
+        / benchmark_runs.expert(robot)[0]
+        for robot in benchmark_runs.ROBOTS
+    ]
+    *first, last = (str(round(benchmark_runs.summary(ends).mean)) for ends in cold)
+    assert f"IQ-Learn comes to {', '.join(first)} and {last} % on the five robots" in text
+
 
 def test_what_to_use_when_says_what_is_known(monkeypatch):
     """With some of the cells, all, or none."""
