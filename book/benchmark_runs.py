@@ -470,8 +470,8 @@ def _no_actions(cells: Cells) -> tuple[str, bool]:
     return (
         f"**No actions, or a reward to use again: {what}.** Neither method "
         "looks at demonstrated actions, "
-        "and only the recipe leaves a reward; with four recordings it "
-        f"comes to {recipe:.0f} % on average, and state-only DAC to "
+        "and the package keeps the recipe's reward alone; with four "
+        f"recordings the recipe comes to {recipe:.0f} % on average, and state-only DAC to "
         f"{states:.0f} %; the recipe is clearly ahead on {_names(ahead)}, "
         f"and clearly behind on {_names(behind)}."
     ), True
