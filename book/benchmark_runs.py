@@ -469,9 +469,9 @@ def _no_actions(cells: Cells) -> tuple[str, bool]:
         what = "state-only DAC for the first, the recipe for the second"
     return (
         f"**No actions, or a reward to use again: {what}.** Neither method "
-        "looks at demonstrated actions, "
-        "and the package keeps the recipe's reward alone; with four "
-        f"recordings the recipe comes to {recipe:.0f} % on average, and state-only DAC to "
+        "looks at demonstrated actions, and the package keeps the recipe's "
+        "reward alone; with four recordings the recipe comes to "
+        f"{recipe:.0f} % on average, and state-only DAC to "
         f"{states:.0f} %; the recipe is clearly ahead on {_names(ahead)}, "
         f"and clearly behind on {_names(behind)}."
     ), True
