@@ -269,12 +269,15 @@ def noise(robots: Iterable[str] = ROBOTS) -> HTML:
     return table(heads, rows)
 
 
-def small_clones(block: str = "4") -> dict[str, Ends]:
-    """Return clones with networks of 64-64, in percent, by robot."""
-    small = rollouts.read("benchmark")[f"{block}-small"]
+def clones_beside(block: str) -> dict[str, Ends]:
+    """Return clones that the plan does not have, in percent, by robot.
+
+    Blocks are `10` and `20` demonstrations, and `1-small` and `4-small`,
+    with networks of 64-64.
+    """
     return {
-        robot: 100 * small[robot]["returns"] / expert(robot)[0]
-        for robot in ROBOTS
+        robot: 100 * cell["returns"] / expert(robot)[0]
+        for robot, cell in rollouts.read("benchmark")[block].items()
     }
 
 
@@ -609,9 +612,10 @@ def block_table(cells: Cells, block: str) -> str:
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
         if method == "clone" and block in ("1", "4"):
-            small = [text_of(ends) for ends in small_clones(block).values()]
+            small = clones_beside(f"{block}-small")
             name = "<b>cloning, with networks of 64-64</b>"
-            lines += [_title(name, width), _row(small)]
+            texts = [text_of(small[robot]) for robot in robots]
+            lines += [_title(name, width), _row(texts)]
     if lines:
         lines.insert(0, _row(_heads(robots), "th"))
     if waiting:
@@ -753,24 +757,12 @@ def _frame(ax: Axes, title: str, rows: int) -> None:
     ax.grid(visible=False, axis="y")
 
 
-def of_ten_and_twenty() -> dict[str, dict[str, Ends]]:
-    """Return clones of 10 and 20 demonstrations, in percent, by robot."""
-    found = rollouts.read("benchmark")
-    return {
-        block: {
-            robot: 100 * cell["returns"] / expert(robot)[0]
-            for robot, cell in found[block].items()
-        }
-        for block in BETWEEN
-    }
-
-
 def draw_clones(cells: Cells) -> Figure:
     """Draw clones by the number of demonstrations, a line for a robot."""
-    between = of_ten_and_twenty()
     ends = {
-        count: between.get(count)
-        or {robot: cells[count, robot, "clone"].ends for robot in ROBOTS}
+        count: clones_beside(count)
+        if count in BETWEEN
+        else {robot: cells[count, robot, "clone"].ends for robot in ROBOTS}
         for count in sorted((*COUNTS, *BETWEEN), key=int)
     }
     counts = [int(count) for count in ends]

@@ -15,10 +15,9 @@ from benchmark_runs import (
     THEIR_EXPERTS,
     THEIRS,
     clear,
+    clones_beside,
     expert,
     lead,
-    of_ten_and_twenty,
-    small_clones,
     summary,
 )
 from checks import recorded
@@ -361,7 +360,7 @@ def against_the_equal_clone(cells):
     to 22: clearly on Hopper, on Walker2d and HalfCheetah, from 42 to 68
     and from 34 to 75, not clearly, and both ants lose, from 81 to 75 and
     from 56 to 33."""
-    small = small_clones()
+    small = clones_beside("4-small")
     assert leads(cells, small) == [17, 3, 22]
     for robot, low, high, sign in (
         ("Hopper", 43, 88, 1),
@@ -399,7 +398,7 @@ def clones_by_number(cells):
     100, 90 on average, of fifty to 90 to 100, 93 on average. With ten and
     twenty Hopper's come to least; with twenty its worst seed is at 32 and
     HalfCheetah's at 50. Ten seeds were cloned each time."""
-    between = of_ten_and_twenty()
+    between = {block: clones_beside(block) for block in ("10", "20")}
     for block, low, average, high in (
         ("1", 9, 33, 54),
         ("4", 23, 57, 84),
@@ -425,7 +424,7 @@ def clones_by_number(cells):
 def clones_of_ten():
     """With ten recordings the clones of four robots come to 79 % or more,
     and Hopper's to 59."""
-    ends = of_ten_and_twenty()["10"]
+    ends = clones_beside("10")
     means = {robot: round(summary(x).mean) for robot, x in ends.items()}
     assert means.pop("Hopper") == 59
     assert min(means.values()) == 79
@@ -498,7 +497,7 @@ def one_recording(cells):
         assert round(np.mean(means)) == percent
     ahead = [robot for robot in ROBOTS if robot != "Hopper"]
     assert clear(cells, "1", "airl", "clone") == (ahead, [])
-    small = small_clones("1")
+    small = clones_beside("1-small")
     of_small = [summary(small[robot]).mean for robot in ROBOTS]
     assert round(np.mean(of_small)) == 19
     for robot in ROBOTS:

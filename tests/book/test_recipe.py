@@ -145,8 +145,8 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
 
     cells, text = benchmark_runs.read(), " ".join(PAGE.split())
     twenty, ten = (
-        np.mean([benchmark_runs.summary(ends).mean for ends in robots.values()])
-        for _, robots in sorted(benchmark_runs.of_ten_and_twenty().items(), reverse=True)
+        np.mean([benchmark_runs.summary(e).mean for e in benchmark_runs.clones_beside(n).values()])
+        for n in ("20", "10")
     )
     fifty, four = (benchmark_runs.average(cells, count, "clone") for count in ("50", "4"))
     said = f"came to {twenty:.0f} % of the expert on average**, with fifty to {fifty:.0f}"
@@ -155,7 +155,7 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     said = f"comes to {twenty:.0f} % of the expert on average over five robots with twenty"
     assert f"{said}, to {fifty:.0f} with fifty, and to {ten:.0f} with ten." in readme
     assert "| | clone, 256-256 | clone, 64-64 | the run from it | recipe alone |" in PAGE
-    small = benchmark_runs.small_clones()
+    small = benchmark_runs.clones_beside("4-small")
     for robot in benchmark_runs.ROBOTS:
         large, run, alone = (
             cells["4", robot, method].ends for method in ("clone", "airl-warm", "airl")
