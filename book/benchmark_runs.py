@@ -31,6 +31,7 @@ from offairl_lite.runs import records
 Ends = Float64[np.ndarray, "seeds"]
 
 RECORDS = Path(__file__).parent / "records/benchmark-demo"
+COLD = RECORDS.parent / "iq-learn-cold-demo"
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt", "Ant")
 METHODS = {
     "clone": "cloning",
@@ -110,6 +111,8 @@ class Cell(NamedTuple):
 
 Cells = Mapping[tuple[str, str, str], Cell]
 """Cells by block, robot and method."""
+Rows = Mapping[str, tuple[str, Mapping[str, Ends]]]
+"""A method, and how its seeds end by robot, for each name."""
 
 
 class Summary(NamedTuple):
@@ -279,6 +282,28 @@ def clones_beside(block: str) -> dict[str, Ends]:
         robot: 100 * cell["returns"] / expert(robot)[0]
         for robot, cell in rollouts.read("benchmark")[block].items()
     }
+
+
+def iq_learn_cold() -> dict[str, Ends]:
+    """Return IQ-Learn at its authors' default temperature, 0.01.
+
+    With four demonstrations, in percent, by robot.
+    """
+    found = {}
+    for robot in ROBOTS:
+        run = records.read(COLD / f"{robot}-iq-learn")
+        found[robot] = 100 * run.returns[:, -1] / expert(robot)[0]
+    return found
+
+
+def rows_beside(block: str, method: str) -> dict[str, dict[str, Ends]]:
+    """Return rows of a method with other settings than the plan's."""
+    if method == "clone" and block in ("1", "4"):
+        small = clones_beside(f"{block}-small")
+        return {"cloning, with networks of 64-64": small}
+    if method == "iq-learn" and block == "4":
+        return {"IQ-Learn at 0.01": iq_learn_cold()}
+    return {}
 
 
 def lead(
@@ -480,18 +505,35 @@ def _no_actions(cells: Cells) -> tuple[str, bool]:
     ), True
 
 
+def rows_of_four(cells: Cells) -> Rows:
+    """Return the rows for four demonstrations.
+
+    Each name has its method, and the ends of its seeds by robot, as far as
+    they are recorded.
+    """
+    rows = {}
+    for method, name in METHODS.items():
+        keys = {robot: ("4", robot, method) for robot in ROBOTS}
+        ends = {
+            r: cells[key].ends for r, key in keys.items() if key in cells
+        }
+        if ends:
+            rows[name] = method, ends
+        if method == "iq-learn":
+            for name, ends in rows_beside("4", method).items():
+                rows[name] = method, ends
+    return rows
+
+
 def short(cells: Cells) -> str:
     """Return the README's table, in Markdown: four demonstrations."""
     lines = [f"| | {' | '.join(ROBOTS)} |", "|---" * 6 + "|"]
-    for method in METHODS:
-        keys = [("4", robot, method) for robot in ROBOTS]
-        if not any(key in cells for key in keys):
-            continue
+    for name, (_, ends) in rows_of_four(cells).items():
         means = [
-            number(summary(cells[key].ends).mean) if key in cells else "–"
-            for key in keys
+            number(summary(ends[robot]).mean) if robot in ends else "–"
+            for robot in ROBOTS
         ]
-        lines.append(f"| {' | '.join([METHODS[method], *means])} |")
+        lines.append(f"| {' | '.join([name, *means])} |")
     return "\n".join(lines)
 
 
@@ -611,11 +653,9 @@ def block_table(cells: Cells, block: str) -> str:
         about = f"<b>{METHODS[method]}</b>{folded}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
-        if method == "clone" and block in ("1", "4"):
-            small = clones_beside(f"{block}-small")
-            name = "<b>cloning, with networks of 64-64</b>"
-            texts = [text_of(small[robot]) for robot in robots]
-            lines += [_title(name, width), _row(texts)]
+        for name, ends in rows_beside(block, method).items():
+            texts = [text_of(ends[robot]) for robot in robots]
+            lines += [_title(f"<b>{name}</b>", width), _row(texts)]
     if lines:
         lines.insert(0, _row(_heads(robots), "th"))
     if waiting:
@@ -683,61 +723,45 @@ def draw(cells: Cells) -> Figure:
     """Draw four demonstrations: a panel for each robot, one for all.
 
     The last is the average of the methods that all robots have been run
-    with. A method without a record has no row.
+    with.
     """
-    pairs = ROBOTS[:2], ROBOTS[2:4], ROBOTS[4:]
-    methods = [
-        [m for m in METHODS if any(("4", r, m) in cells for r in robots)]
-        for robots in (*pairs[:2], ROBOTS)
-    ]
-    fig, axes = plt.subplots(
-        len(pairs),
-        2,
-        figsize=(5.6, 2.2 + 0.28 * sum(map(len, methods))),
-        height_ratios=[max(len(shown), 5) for shown in methods],
-    )
-    for row, robots, shown in zip(axes, pairs, methods, strict=True):
-        for ax, robot in zip(row, robots, strict=False):
-            _panel(ax, cells, robot, shown)
-        names = [METHODS[method] for method in shown]
-        row[0].set_yticklabels(
-            [x.replace(" from", "\nfrom") for x in names]
-        )
-    for ax in (axes[1, 1], axes[2, 0]):
+    rows = rows_of_four(cells)
+    size = 5.6, 2.2 + 3 * 0.28 * len(rows)
+    fig, axes = plt.subplots(3, 2, figsize=size, sharey=True)
+    for ax, robot in zip(axes.flat, ROBOTS, strict=False):
+        _panel(ax, robot, rows)
+    _average_panel(axes[2, 1], rows)
+    names = [name.replace(" from", "\nfrom") for name in rows]
+    axes[0, 0].set_yticks(range(len(rows)), names)
+    axes[0, 0].set_ylim(len(rows) - 0.4, -0.6)
+    for ax in axes[2]:
         ax.set_xlabel("% of the expert")
-    axes[-1, -1].set_xlabel("% of the expert")
-    _average_panel(axes[-1, -1], cells, methods[-1])
     return fig
 
 
-def _average_panel(ax: Axes, cells: Cells, methods: Sequence[str]) -> None:
+def _average_panel(ax: Axes, rows: Rows) -> None:
     """Draw averages over the robots, with their intervals."""
     ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
-    for y, method in enumerate(methods):
-        keys = [("4", robot, method) for robot in ROBOTS]
-        if not set(keys) <= set(cells):
-            continue
-        ends = [cells[key].ends for key in keys]
-        _mark(ax, y, COLORS[method], *lead(ends, [np.zeros(1)] * len(ends)))
-    _frame(ax, "average of the five", len(methods))
+    for y, (method, ends) in enumerate(rows.values()):
+        if len(ends) == len(ROBOTS):
+            none = [np.zeros(1)] * len(ends)
+            _mark(ax, y, COLORS[method], *lead(list(ends.values()), none))
+    _frame(ax, "average of the five")
 
 
-def _panel(
-    ax: Axes, cells: Cells, robot: str, methods: Sequence[str]
-) -> None:
+def _panel(ax: Axes, robot: str, rows: Rows) -> None:
     """Draw one robot: a mark, its interval and the worst seed in a row."""
     without, shown = expert(robot)
     ax.axvline(100, color=plots.GREY, linestyle="--", linewidth=1)
     ax.axvline(
         100 * shown / without, color=plots.GREY, linestyle=":", lw=1.3
     )
-    for y, method in enumerate(methods):
-        if (cell := cells.get(("4", robot, method))) is None:
-            continue
-        *numbers, worst = summary(cell.ends)
-        _mark(ax, y, COLORS[method], *numbers)
-        ax.plot(worst, y, "|", color=COLORS[method], ms=9, mew=1.5)
-    _frame(ax, robot, len(methods))
+    for y, (method, ends) in enumerate(rows.values()):
+        if robot in ends:
+            *numbers, worst = summary(ends[robot])
+            _mark(ax, y, COLORS[method], *numbers)
+            ax.plot(worst, y, "|", color=COLORS[method], ms=9, mew=1.5)
+    _frame(ax, robot)
 
 
 def _mark(
@@ -750,10 +774,10 @@ def _mark(
     ax.text(1.02, y, str(round(mean)), transform=beside, va="center")
 
 
-def _frame(ax: Axes, title: str, rows: int) -> None:
-    """Give a panel its title and its limits, without labels of rows."""
-    ax.set(xlim=(-8, 118), ylim=(rows - 0.4, -0.6), title=title)
-    ax.set_yticks(range(rows), [""] * rows)
+def _frame(ax: Axes, title: str) -> None:
+    """Give a panel its title and its limits."""
+    ax.set(xlim=(-8, 118), title=title)
+    ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
 
 
