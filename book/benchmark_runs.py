@@ -352,7 +352,7 @@ def costs(cells: Cells) -> HTML:
 
 
 def advice(cells: Cells) -> list[str]:
-    """Return what to use: with many demonstrations, few, and no actions.
+    """Return what to use: with many demonstrations, few, one, no actions.
 
     While cells are missing, a sentence says what they show so far, if
     anything, and the last one which questions are open.
@@ -360,6 +360,7 @@ def advice(cells: Cells) -> list[str]:
     answers = {
         "with fifty recordings": _many(cells),
         "with four": _few(cells),
+        "with one": _one(cells),
         "without recorded actions": _no_actions(cells),
     }
     sentences = [text for text, _ in answers.values() if text]
@@ -462,6 +463,24 @@ def _few(cells: Cells) -> tuple[str, bool]:
     return (
         f"{text}; it is clearly ahead of {METHODS[other]} on "
         f"{_names(ahead)}, and clearly behind on {_names(behind)}."
+    ), True
+
+
+def _one(cells: Cells) -> tuple[str, bool]:
+    """Return the sentence, and whether it answers the question."""
+    methods = tuple(PLAN["1"])
+    if not _complete(cells, "1", methods):
+        return "", False
+    averages = {method: average(cells, "1", method) for method in methods}
+    in_order = sorted(methods, key=averages.__getitem__, reverse=True)
+    said = _listed([f"{METHODS[m]} to {averages[m]:.0f}" for m in in_order])
+    behind = []
+    for other in methods[1:]:
+        robots = _names(clear(cells, "1", "clone", other)[1])
+        behind.append(f"{METHODS[other]} on {robots}")
+    return (
+        "**One recording.** On average over the robots, in percent, come "
+        f"{said}; cloning is clearly behind {_listed(behind)}."
     ), True
 
 

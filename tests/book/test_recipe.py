@@ -188,10 +188,9 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     warm, clone, recipe, dac = averages("4", "airl-warm", "clone", "airl", "dac")
     said = f"comes to {warm} % on average over the five robots; cloning, the recipe and DAC to"
     assert f"{said} {clone}, {recipe} and {dac}." in text
-    assert (
-        "It comes to {} % on average, cloning to {}.".format(*averages("1", "airl", "clone"))
-        in text
-    )
+    of_one, other, cloned = averages("1", "airl", "dac", "clone")
+    assert of_one == other
+    assert f"Both come to {of_one} % on average, cloning to {cloned}." in text
     (states,) = averages("4", "state-dac")
     assert f"It comes to {states} % on average, and is clearly ahead of the recipe on" in text
     cold = [benchmark_runs.summary(ends).mean for ends in benchmark_runs.iq_learn_cold().values()]
@@ -210,14 +209,17 @@ def test_what_to_use_when_says_what_is_known(monkeypatch):
     some = {("4", "Hopper", "airl"): cell(80.0), ("4", "Hopper", "clone"): cell(50.0)}
     so_far, waiting = bench.advice(some)
     assert "clearly ahead of cloning on Hopper, and clearly behind on no robot." in so_far
-    assert "with fifty recordings; with four; without recorded actions. Not all" in waiting
+    assert (
+        "with fifty recordings; with four; with one; without recorded actions. Not all" in waiting
+    )
     table = bench.block_table(some, "4")
     assert table.count("–") == 8
     assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
     full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
-    many, few, no_actions, either = bench.advice(full)
+    many, few, one, no_actions, either = bench.advice(full)
     assert "clone them.** " in many
     assert "Four recordings: cloning.** " in few
+    assert "come cloning to 82, the recipe to 62, DAC to 62 and state-only DAC to 62; " in one
     assert "without recorded actions" not in no_actions
     assert "ahead on no robot, and clearly behind on no robot" in either
     assert "Not run yet" not in bench.block_table(full, "4")
