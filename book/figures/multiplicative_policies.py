@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import scipy.stats
 import torch
+from matplotlib.colors import ListedColormap
 from matplotlib.patches import Ellipse
 
 import drawing
@@ -13,6 +14,9 @@ from offairl_lite.core.policies import MultiplicativeGaussian
 
 SKILLS = {"walk": plots.PURPLE, "reach": plots.BLUE}
 """Two primitives, in the toy's colours. Their product is green."""
+
+
+OFFERED = ListedColormap([plots.RED, plots.GREEN])
 
 
 def film_of_the_gate(num_frames=32):
@@ -273,6 +277,30 @@ def gate_and_primitives(parts, policy, weight, x, y):
         axes["p"].set_title("their product")
         below = {"location": "bottom", "shrink": 0.6, "extend": "max"}
         fig.colorbar(image, ax=maps, label="weight", **below)
+        plt.show()
+
+
+def offers(seeds, pushed, shares, x, y):
+    """Draw where some primitive pushes left, below the moved wall."""
+    with plots.style():
+        _fig, axes = plt.subplots(2, 3, figsize=(5.4, 3.9))
+        cells = zip(axes.flat, seeds, pushed, shares, strict=False)
+        for ax, seed, push, share in cells:
+            there = np.where(y < 0.25, push.reshape(x.shape), np.nan)
+            image = ax.pcolormesh(x, y, there, vmin=0, vmax=1, cmap=OFFERED)
+            image.set_rasterized(True)
+            plots.maze(ax, "Right")
+            ax.set_title(f"seed {seed}: {100 * share:.0f} %")
+        key = axes[1, 2]
+        for height, color, text in (
+            (0.6, plots.GREEN, "a primitive\npushes left"),
+            (0.25, plots.RED, "none does"),
+        ):
+            key.plot(0.1, height, "s", color=color, ms=10)
+            key.text(0.2, height, text, va="center")
+        key.set(xlim=(0, 1), ylim=(0, 1))
+        for ax in axes.flat:
+            ax.set_axis_off()
         plt.show()
 
 
