@@ -152,13 +152,13 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
     def row(n):
         word = VERDICTS[n]
         color, sign = MARKS[word]
-        verdict = f'<b style="color: {color}">{sign}</b> {word}'
+        verdict = f'<b style="color: {color}">{sign} {word}</b>'
         claim = f"<b>{NAMES[n]}</b> ({n}): {SAYS[n]}"
-        cells = claim, verdict, EVIDENCE[n]
+        cells = claim, f"{verdict}<br>{EVIDENCE[n]}"
         return f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
 
     def heading(text):
-        return f'<tr><th colspan="3">{text}</th></tr>'
+        return f'<tr><th colspan="2">{text}</th></tr>'
 
     parts = [
         heading("On the maze: paper-size networks, ten seeds"),
