@@ -102,18 +102,23 @@ def squashed(CASES, normal, density_of, a):
 def pendulum_curves(entropy, temperature, total, step, STEPS):
     """Draw return, entropy and temperature of the training."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.6))
+        # The return above the other two, so that a phone can show them.
+        fig, axes = plt.subplot_mosaic("aa;bc", figsize=(4.8, 4.8))
+        fig.get_layout_engine().set(h_pad=0.1)
+        axes = axes.values()
         names = ("return", "entropy (nats)", "temperature α")
         columns = (total, entropy, temperature)
         for ax, name, column in zip(axes, names, columns, strict=True):
             ax.axvspan(0, 1, color="0.92", linewidth=0)
             after = slice(0 if name == "return" else 4, None)
             ax.plot(step[after] / 1000, column[after], "o-", ms=3.5)
-            ax.set(title=name, xlabel="thousand steps")
+            ax.set_title(name)
             ax.set_xlim(0, 1.03 * STEPS / 1000)
-        axes[0].set_ylim(-1900, 50)
-        axes[1].axhline(-1, color=plots.GREY, linestyle="--")
-        axes[2].set_ylim(0, 0.25)
+        above, middle, last = axes
+        above.set_ylim(-1900, 50)
+        middle.axhline(-1, color=plots.GREY, linestyle="--")
+        last.set_ylim(0, 0.25)
+        fig.supxlabel("thousand steps", fontsize="medium")
         plt.show()
 
 
@@ -149,7 +154,7 @@ def swing_up(sac, pendulum, act):
     enough = np.sqrt(30 * (1 + np.cos(np.radians(x[0]))))
 
     with plots.style(), plt.rc_context({"font.size": 13}):
-        size = {"figsize": (9.6, 4.4), "dpi": 100, "width_ratios": (1, 1.7)}
+        size = {"figsize": (7.2, 4.0), "dpi": 120, "width_ratios": (1, 1.9)}
         fig, (left, right) = plt.subplots(1, 2, **size)
         left.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
         left.set_title("the pendulum")
@@ -161,7 +166,7 @@ def swing_up(sac, pendulum, act):
             aspect="auto",
             cmap=plots.REWARD_MAP,
         )
-        fig.colorbar(image, ax=right, label="Q of the action without noise")
+        fig.colorbar(image, ax=right, label="Q without noise")
         right.set(xlabel="angle", ylabel="speed (rad/s)")
         right.set_title("value of each state")
         right.plot(x[0], enough, "--", color="white", linewidth=1.5)
@@ -195,16 +200,18 @@ def learners(curves):
     """Draw the returns of three learners."""
     colors = (plots.BLUE, plots.ORANGE, plots.RED)
     with plots.style():
-        _fig, axes = plt.subplots(1, 3, figsize=(7.2, 2.6), sharey=True)
+        both = {"sharex": True, "sharey": True}
+        fig, axes = plt.subplots(3, 1, figsize=(4.8, 5.6), **both)
         for ax, color, name in zip(axes, colors, curves, strict=True):
             totals = curves[name]
             step = 0.2 * np.arange(1, totals.shape[1] + 1)
             ax.axvspan(0, 1, color="0.92", linewidth=0)
             ax.plot(step, totals.T, color=color, alpha=0.35, lw=0.8)
             ax.plot(step, np.median(totals, 0), "o-", ms=3.5, color=color)
-            ax.set(title=name, xlabel="thousand steps")
+            ax.set_title(name, loc="left", color=color)
             ax.set_xlim(0, 5.15)
-        axes[0].set_ylabel("return")
+        axes[-1].set_xlabel("thousand steps")
+        fig.supylabel("return", fontsize="medium")
         plt.show()
 
 
