@@ -172,7 +172,7 @@ def loop():
 def mazes(demonstrated):
     """Draw both mazes, and demonstrations in the first."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7, 3.5), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.7), sharey=True)
         for ax, side in zip(axes, ("Left", "Right"), strict=True):
             plots.maze(ax, side)
             ax.set_title(f"PointMaze{side}")
@@ -213,7 +213,7 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
 def wall_moved(old_return, stuck, new, airl, scale):
     """Draw the old and the new policy where the wall has moved."""
     with plots.style():
-        fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.6))
+        fig, axes = plt.subplots(1, 2, figsize=(4.8, 3.2))
         shown = (
             (
                 f"old policy: {percent(old_return)}",
@@ -230,14 +230,16 @@ def wall_moved(old_return, stuck, new, airl, scale):
             image = _reward_map(ax, "Right", airl, scale)
             _draw_paths(ax, walks, color)
             ax.set_title(title)
-        fig.colorbar(image, ax=axes, shrink=0.8, label=r"$r_\psi(s)$")
+        below = {"location": "bottom", "shrink": 0.6, "aspect": 25}
+        fig.colorbar(image, ax=axes, label=r"$r_\psi(s)$", **below)
         plt.show()
 
 
 def five_seeds(imitation, expert, transfer, target):
     """Draw the returns of five recorded seeds."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.2), sharey=True)
+        fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.6))
+        fig.get_layout_engine().set(h_pad=0.1)
         curves = (
             (imitation, plots.COPY, "imitation", expert.returns.mean()),
             (transfer, plots.AGENT, "transfer", target),
@@ -247,15 +249,16 @@ def five_seeds(imitation, expert, transfer, target):
         ):
             plots.curve(ax, run.steps / 1_000, run.returns, "", color)
             _levels(ax, value)
-            ax.set(title=title, xlabel="thousand steps")
-        axes[0].set(ylabel="score")
+            ax.set_title(title, loc="left")
+            ax.set_ylabel("score")
+        axes[1].set(xlabel="thousand steps")
         plt.show()
 
 
 def behind_the_star(imitation, released, line, kept):
     """Draw rewards and log π on the line through the star."""
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(7.4, 3.0), sharex=True)
+        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.4), sharex=True)
         for run, color in (
             (imitation, plots.BLUE),
             (released, plots.ORANGE),
@@ -272,7 +275,7 @@ def behind_the_star(imitation, released, line, kept):
             axes[1].plot(y, value, ".", color=color, alpha=0.6)
         for ax in axes:
             ax.axvline(GOAL[1], color=plots.GREY, ls=":", lw=1.2)
-            ax.set(xlim=(0.4, 0.56), xlabel="y (m)")
+            ax.set_xlim(0.4, 0.56)
             ax.set_xticks((0.4, 0.45, 0.5, 0.55))
         for ax, x, y, text, color in (
             (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
@@ -283,6 +286,7 @@ def behind_the_star(imitation, released, line, kept):
             ax.text(x, y, text, color=color, ha="right")
         axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")
         axes[1].set(ylabel=r"the policy's $\log\ \pi$", ylim=(-75, 4))
+        axes[1].set_xlabel("height y on the line through the star (m)")
         plt.show()
 
 
@@ -298,7 +302,7 @@ def logs_by_round(loss, temperature, rounds=6, start=-3.0, best=-2.0):
 def runaway():
     """Draw how log π of an old action moves with both losses."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.2, 2.9))
+        _fig, ax = plt.subplots(figsize=(4.8, 3.2))
         for loss, alpha, color, text, y in (
             ("AIRL", 0.2, plots.RED, "AIRL loss, α = 0.2", 6_000),
             ("log-ratio", 0.2, plots.BLUE, "log-ratio loss, α = 0.2", 16),
