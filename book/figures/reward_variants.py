@@ -6,7 +6,7 @@ import torch
 from matplotlib.ticker import NullLocator
 
 import plots
-from drawing import EDGE, bare, diagram, film, table
+from drawing import EDGE, bare, diagram, film, number, table
 from offairl_lite import demonstrations
 from offairl_lite.analysis import epic
 from offairl_lite.runs import records
@@ -23,12 +23,13 @@ def _dots(ax, y, values, color, spread=0.24):
 
 def learning(story_r, STORIES, hold=2):
     """Return a film of two rewards and policies while they learn."""
-    with plots.style():
+    look = {"font.size": 13, "axes.titlesize": 15}
+    with plots.style(), plt.rc_context(look):
         fig, axes = plt.subplots(
             2,
             2,
             figsize=(7.2, 5.2),
-            dpi=80,
+            dpi=100,
             height_ratios=(3.4, 1),
             sharey="row",
         )
@@ -59,6 +60,7 @@ def learning(story_r, STORIES, hold=2):
         low.semilogy([s["updates"] for s in story], [np.nan] * len(story))
         low.set(xlim=(0, last), ylim=(0.3, 3e5), xlabel="updates")
         low.set_yticks([1, 100, 10_000])
+        low.set_xticks([0, 1_000])
         low.yaxis.set_minor_locator(NullLocator())
         curve = low.plot([], [], color=color, lw=2.4)[0]
         artists.append((story, image, ghost, line, dot, curve))
@@ -83,7 +85,7 @@ def learning(story_r, STORIES, hold=2):
             updates = [s["updates"] for s in past]
             curve.set_data(updates, [s["q"] for s in past])
 
-    with plots.style():
+    with plots.style(), plt.rc_context(look):
         return film(fig, draw, hold * len(story_r) + 6)
 
 
@@ -190,12 +192,45 @@ def _named(ax, x, y, name, color, **more):
     ax.annotate(name, (x, y), color=color, va="center", **place, **more)
 
 
+def fixed_points(gaps):
+    """Return the table of how far SAC's answer is from π*."""
+    return table(
+        (
+            "temperature α",
+            "factor c",
+            "α<sub>f</sub>",
+            "largest gap",
+        ),
+        [
+            (
+                f"{alpha:g}",
+                f"{c:g}",
+                f"{1 + alpha / c:g}",
+                "below 10<sup>−9</sup>" if gap < 1e-9 else f"{gap:.2g}",
+            )
+            for (alpha, c), gap in gaps.items()
+        ],
+    )
+
+
+def slopes(measured):
+    """Return the table of predicted and measured slopes at α = 0.2."""
+    names = {1.0: "full answers", 0.3: "a share of 0.3"}
+    return table(
+        ("in each round", "predicted", "measured"),
+        [
+            (names[share], number(1 - share * 6), number(value))
+            for share, value in measured.items()
+        ],
+    )
+
+
 def alternation(full, part):
     """Draw how far rounds lead from the fixed point."""
     four = (plots.RED, plots.ORANGE, plots.GREEN, plots.BLUE)
     three = (plots.RED, plots.GREEN, plots.BLUE)
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.2), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 3.4), sharey=True)
         for ax, lines, colors, letter in (
             (axes[0], full, four, r"\alpha"),
             (axes[1], part, three, r"\eta"),
@@ -206,10 +241,10 @@ def alternation(full, part):
                 ax.semilogy(errors, color=color)
                 name = f"${letter} = {x}$"
                 _named(ax, len(errors) - 1, errors[-1], name, color)
-            ax.set(xlabel="round", xlim=(0, 17), xticks=(0, 5, 10))
+            ax.set(xlabel="round", xlim=(0, 21), xticks=(0, 5, 10))
         axes[0].set(ylabel=r"largest $|\log\pi - \log\pi^*|$")
         axes[0].set_title("full answers")
-        axes[1].set_title(r"a share $\eta$, with $\alpha = 0.2$")
+        axes[1].set_title(r"a share $\eta$, $\alpha = 0.2$")
         plt.show()
 
 
@@ -217,7 +252,7 @@ def tails(STORIES):
     """Draw how surprising old actions become, and return it."""
     tails = {}
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 3.2), sharey=True)
+        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 3.4), sharey=True)
         for ax, (title, (story, color)) in zip(
             axes, STORIES.items(), strict=True
         ):
@@ -231,7 +266,7 @@ def tails(STORIES):
                     name = f"{level:.0%}"
                     _named(ax, updates[-1], column[-1], name, color)
             ax.set(xlabel="updates", title=title, xticks=(0, 1000, 2000))
-            ax.set_xlim(0, 2600 if ax is axes[0] else 2050)
+            ax.set_xlim(0, 2800 if ax is axes[0] else 2050)
             ax.set_yscale("symlog", linthresh=10)
         axes[0].set_ylabel(r"$-\log\ \pi$ of old actions")
         plt.show()
