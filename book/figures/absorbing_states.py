@@ -30,8 +30,9 @@ def hoppers(kept, FRAMES):
         name: list(pictures_of(kept["film"][name]["pose"][:FRAMES]))
         for name in told
     }
-    with plots.style():
-        fig, axes = plt.subplots(1, 3, figsize=(7.2, 3.4), dpi=80)
+    look = {"font.size": 13, "axes.titlesize": 14, "axes.labelsize": 13}
+    with plots.style(), plt.rc_context(look):
+        fig, axes = plt.subplots(1, 3, figsize=(7.2, 3.6), dpi=100)
     for ax in axes:
         ax.set(xticks=[], yticks=[])
         ax.grid(False)
@@ -60,13 +61,13 @@ def hoppers(kept, FRAMES):
 def cliff():
     """Draw the cliff, the goal and the states between."""
     diagram(
-        (6.6, 0.9),
+        (5.0, 0.9),
         {
-            "cliff": (0.5, 0.45, "cliff", plots.RED),
-            "0": (1.95, 0.45, "start"),
-            "1": (3.3, 0.45, "middle"),
-            "2": (4.65, 0.45, "last"),
-            "goal": (6.1, 0.45, "goal", plots.GREEN),
+            "cliff": (0.35, 0.45, "cliff", plots.RED),
+            "0": (1.45, 0.45, "start"),
+            "1": (2.5, 0.45, "middle"),
+            "2": (3.55, 0.45, "last"),
+            "goal": (4.62, 0.45, "goal", plots.GREEN),
         },
         [
             ("0", "cliff", "−1"),
@@ -134,7 +135,7 @@ def goes_on():
 def two_targets(k, learned, predicted, R_T):
     """Draw the value of the last step while critics learn."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.2, 2.9))
+        _fig, ax = plt.subplots(figsize=(4.8, 3.2))
         ax.plot(k, learned["bootstrap"], color=plots.BLUE)
         ax.plot(k, learned["analytic"], "-.", color=plots.ORANGE)
         ax.plot(k, predicted, "k:")
@@ -158,29 +159,30 @@ def hoppers_learn(kept, long, falling, run, mode):
         ax.plot(steps, returns.mean(0), line, color=color, lw=2.2)
 
     with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(6.4, 3.6), sharey=True)
+        fig, axes = plt.subplots(2, 1, figsize=(4.8, 6.6))
+        fig.get_layout_engine().set(h_pad=0.1)
         recorded = (kept["short"].values(), (long.steps, long.returns))
         for ax, (steps, returns) in zip(axes, recorded, strict=True):
             curves(ax, steps, returns, plots.BLUE, "-")
             no_end = (plots.RED, "--", steps[-1])
             curves(ax, falling.steps, falling.returns, *no_end)
-            ax.set_title(f"{steps[-1]:,} steps")
+            ax.set_title(f"{steps[-1]:,} steps", loc="left")
         mine = {"color": "black", "lw": 1.4, "marker": "."}
         steps, returns = run.steps / 1_000, run.returns.mean(0)
         axes[0].plot(steps, returns, **mine)
-        axes[0].text(4, 520, "yours", ha="center")
+        axes[0].text(5.1, 120, "yours")
+        axes[0].text(4.9, 700, "absorbing state", color=plots.BLUE)
+        axes[0].text(5.3, 25, "no absorbing state", color=plots.RED)
         axes[1].text(4, 3_200, "absorbing state", color=plots.BLUE)
         axes[1].text(40, 560, "no absorbing state", color=plots.RED)
         for ax in axes:
-            named = ax is axes[0]
-            plots.level(
-                ax, mode, "the expert" if named else "", plots.EXPERT
-            )
             plots.level(ax, 1_000, "")
-            ax.set(xlabel="thousand environment steps", ylim=(-100, 3_500))
-        axes[0].set(ylabel="return")
+            ax.set(ylabel="return", ylim=(-100, 3_500))
+        plots.level(axes[1], mode, "the expert", plots.EXPERT)
+        axes[0].set_ylim(-40, 1_150)
+        axes[1].set(xlabel="thousand environment steps")
         words = {"color": plots.GREY, "fontsize": "small"}
-        axes[0].text(1, 1_090, "standing still", **words)
+        axes[0].text(0.2, 1_025, "standing still", **words)
         axes[0].set(xlim=(0, 8.3))
         plt.show()
 
