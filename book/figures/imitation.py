@@ -429,7 +429,8 @@ def efficiency(RUNS, escape, median, paths):
             }
             ax.plot(*GOAL, "*", **star)
             ax.axis("off")
-            ax.set_title(name.replace(", ", ",\n").replace(" with", "\nwith"))
+            name = name.replace(", ", ",\n").replace(" with", "\nwith")
+            ax.set_title(name)
         plt.show()
 
 
