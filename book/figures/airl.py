@@ -52,8 +52,9 @@ def old_and_new(cells):
         walks = [walk(old, p, np.random.default_rng(3)) for p, _ in story]
         carried = walk(new, story[-1][0], np.random.default_rng(3))
         planned = walk(new, policies[0], np.random.default_rng(3))
+        # Few inches, so that a phone can show the text.
         with plots.style():
-            fig, axes = plt.subplots(1, 2, figsize=(7.2, 3.8), dpi=100)
+            fig, axes = plt.subplots(1, 2, figsize=(6.4, 4.0), dpi=100)
         image = plots.grid(axes[1], np.zeros(cells**2), "Left")
         image.set_clim(-14, 0)
         plots.maze(axes[0], "Left")
@@ -64,6 +65,10 @@ def old_and_new(cells):
             style = {"mec": "white", "ms": 9, "zorder": 4}
             heads += ax.plot([], [], "o", color=color, **style)
 
+        def titles(*texts):
+            for ax, text in zip(axes, texts, strict=True):
+                ax.set_title(text, fontsize=16)
+
         def trail(i, path, t):
             lines[i].set_data(*path[: t + 1].T)
             heads[i].set_data(*path[t : t + 1].T)
@@ -73,8 +78,11 @@ def old_and_new(cells):
             reward = story[k][1]
             image.set_data((reward - reward.max()).reshape(cells, cells))
             if t < 0:
-                axes[0].set_title(f"the policy after {k} rounds")
-                axes[1].set_title("the reward in the discriminator")
+                plural = "" if k == 1 else "s"
+                titles(
+                    f"the policy\nafter {k} round{plural}",
+                    "the reward in\nthe discriminator",
+                )
                 trail(0, walks[k], STEPS)
                 return
             if t == 0:
@@ -82,8 +90,10 @@ def old_and_new(cells):
                     ax.collections[0].remove()
                     plots.maze(ax, "Right")
                 bare(axes)
-                axes[0].set_title("the wall moves: the old policy")
-                axes[1].set_title("a new policy for the frozen reward")
+                titles(
+                    "the wall moves:\nthe old policy",
+                    "a new policy for\nthe frozen reward",
+                )
             trail(0, carried, min(t, STEPS))
             trail(1, planned, min(t, STEPS))
 

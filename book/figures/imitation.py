@@ -94,26 +94,25 @@ def judged_pushes(demos):
         same = np.repeat(obs[None], len(pushes), 0)
         return chance(same, pushes).reshape(31, 31)
 
-    with plots.style(), plt.rc_context({"font.size": 13}):
-        fig = plt.figure(figsize=(9.6, 6.8), dpi=100, layout="none")
+    # Few inches, so that a phone can show the text.
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        fig = plt.figure(figsize=(7.2, 5.8), dpi=100, layout="none")
 
         def inches(x, y, width, height):
             return fig.add_axes(
-                (x / 9.6, y / 6.8, width / 9.6, height / 6.8)
+                (x / 7.2, y / 5.8, width / 7.2, height / 5.8)
             )
 
         shades = {"cmap": VERDICT, "vmin": 0.1, "vmax": 0.9}
         artists = []
         for i, name in enumerate(actors):
-            ax = inches(3.2 * i + 0.1, 3.3, 3, 3)
-            square = inches(3.2 * i + 0.9, 1.1, 1.8, 1.8)
-            if i == 0:
-                square.set_ylabel("all pushes here")
+            ax = inches(2.4 * i + 0.05, 3.1, 2.3, 2.3)
+            square = inches(2.4 * i + 0.6, 1.4, 1.4, 1.4)
             plots.maze(ax, "Left")
             ax.axis("off")
-            ax.set_title(name, fontsize=15)
+            ax.set_title(name, fontsize=16)
             edge = {"edgecolors": "#444444", "linewidths": 0.6}
-            trail = ax.scatter([], [], 60, [], zorder=5, **edge, **shades)
+            trail = ax.scatter([], [], 45, [], zorder=5, **edge, **shades)
             (body,) = ax.plot(
                 [], [], "o", color="black", ms=11, mec="white", zorder=7
             )
@@ -128,12 +127,14 @@ def judged_pushes(demos):
             )
             artists.append((trail, body, image, made))
         below = {"orientation": "horizontal", "extend": "both"}
-        bar = fig.colorbar(image, cax=inches(2.5, 0.6, 4.6, 0.15), **below)
+        bar = fig.colorbar(image, cax=inches(1.6, 0.7, 4, 0.15), **below)
         bar.set_ticks([0.1, 0.5, 0.9], labels=["0.1", "½", "0.9"])
         bar.set_label("D: would the expert push like this here?")
 
+    shown = [24, *range(25), *[24] * 5]  # first what comes out
+
     def draw_step(frame):
-        t = 2 * frame
+        t = 2 * shown[frame]
         for name, (trail, body, image, made) in zip(
             actors, artists, strict=True
         ):
@@ -144,7 +145,7 @@ def judged_pushes(demos):
             image.set_data(all_pushes(obs[t]))
             made.set_data(*action[t, :, None])
 
-    frames = film(fig, draw_step, 25)
+    frames = film(fig, draw_step, len(shown))
     return last_paths, SHOWN, actors, verdicts, all_pushes, frames
 
 
@@ -181,8 +182,8 @@ def gail_loop():
 def corridor():
     """Draw the corridor and its two experts."""
     with plots.style(), plt.rc_context({"font.size": 13}):
-        _fig, ax = plt.subplots(figsize=(7.2, 2.1))
-        ax.set(xlim=(-2.0, 8.7), ylim=(-0.95, 1.95), aspect="equal")
+        _fig, ax = plt.subplots(figsize=(5.6, 2.5))
+        ax.set(xlim=(-0.15, 8.55), ylim=(-1.35, 2.35), aspect="equal")
         ax.axis("off")
         for room in range(7):
             paint = "#ffe9bf" if room == 3 else "#f2f2f2"
@@ -206,10 +207,10 @@ def corridor():
                 look = {**arrow, "color": color}
                 ax.annotate("", (ends[1], y), (ends[0], y), arrowprops=look)
         for y, who, color in (
-            (1.35, "expert A", plots.BLUE),
-            (-0.4, "expert B", plots.PURPLE),
+            (1.95, "expert A leaves", plots.BLUE),
+            (-1.0, "expert B stays", plots.PURPLE),
         ):
-            ax.text(-0.25, y, who, color=color, ha="right", va="center")
+            ax.text(3.5, y, who, color=color, ha="center", va="center")
         plt.show()
 
 
@@ -398,8 +399,8 @@ def efficiency(RUNS, escape, median, paths):
     paint = (plots.PURPLE, plots.ORANGE, plots.GREEN, plots.RED, plots.BLUE)
     LOOK = dict(zip(RUNS, paint, strict=True))
     with plots.style(), plt.rc_context({"font.size": 14}):
-        fig = plt.figure(figsize=(7.2, 5.8))
-        above, below = fig.subfigures(2, 1, height_ratios=(1.2, 1))
+        fig = plt.figure(figsize=(6.0, 6.4))
+        above, below = fig.subfigures(2, 1, height_ratios=(1.3, 1))
         ax = above.subplots()
         for row, (name, steps) in enumerate(escape.items()):
             ax.barh(row, median[name], 0.6, color=LOOK[name], alpha=0.55)
@@ -407,11 +408,12 @@ def efficiency(RUNS, escape, median, paths):
             ax.plot(steps, spread, "o", color=LOOK[name], ms=5, mec="white")
             ax.text(32_000, row, f"{median[name]:,.0f}", va="center")
         ax.text(32_000, -0.9, "median", va="center")
-        ax.set_yticks(range(len(RUNS)), labels=RUNS)
+        labels = [name.replace(", ", ",\n") for name in RUNS]
+        ax.set_yticks(range(len(RUNS)), labels=labels)
         ax.invert_yaxis()
         ax.grid(False, axis="y")
-        ax.set(xlim=(0, 39_500), xlabel="steps to escape")
-        ax.set_xticks([0, 10_000, 20_000, 30_000])
+        ax.set(xlim=(0, 42_000), xlabel="steps to escape")
+        ax.set_xticks([0, 15_000, 30_000])
         ax.xaxis.set_major_formatter("{x:,.0f}")
         mazes = below.subplots(1, 3)
         for ax, (name, obs) in zip(mazes, paths.items(), strict=True):
@@ -427,6 +429,7 @@ def efficiency(RUNS, escape, median, paths):
             }
             ax.plot(*GOAL, "*", **star)
             ax.axis("off")
+            name = name.replace(", ", ",\n").replace(" with", "\nwith")
             ax.set_title(name)
         plt.show()
 
@@ -470,7 +473,7 @@ def hopper_signs(hopping, expert_length):
     """Draw how long episodes of hoppers last."""
     PLACES = dict(zip(HOPPERS, (240, 6.0, 11.5, 1150), strict=True))
     with plots.style(), plt.rc_context({"font.size": 14}):
-        _fig, ax = plt.subplots(figsize=(7.2, 4.4))
+        _fig, ax = plt.subplots(figsize=(6.0, 4.6))
         for name, (steps, lasted) in hopping.items():
             color = HOPPERS[name][1]
             ax.plot(steps, lasted.T, color=color, alpha=0.3, lw=0.7)
@@ -510,7 +513,7 @@ def chances(occupancy, ends_at):
 def replay(drift, shares, chances):
     """Draw what old steps in the replay do."""
     with plots.style(), plt.rc_context({"font.size": 14}):
-        _fig, axes = plt.subplots(1, 2, figsize=(7.2, 4.2))
+        _fig, axes = plt.subplots(1, 2, figsize=(6.2, 4.4))
         for who, color in zip(
             drift, (plots.BLUE, plots.ORANGE), strict=True
         ):
@@ -520,13 +523,14 @@ def replay(drift, shares, chances):
         for ax, x, y, text, color in (
             (axes[0], 40, 0.02, "95 % expert", plots.BLUE),
             (axes[0], 15, 0.26, "60 % expert", plots.ORANGE),
+            (axes[1], 8, 1.02, "95 %: rooms 1–6", plots.BLUE),
             (axes[1], 8, 0.87, "95 %: last room", plots.BLUE),
             (axes[1], 8, 0.7, "60 %: rooms 1–6", plots.ORANGE),
             (axes[1], 8, 0.4, "60 %: last room", plots.ORANGE),
         ):
             ax.text(x, y, text, color=color)
         axes[0].set(ylabel="distance from the expert", ylim=(0, 0.52))
-        axes[1].set(ylabel="share of right moves", ylim=(0, 1.04))
+        axes[1].set(ylabel="share of right moves", ylim=(0, 1.1))
         for ax in axes:
             ax.set(xlabel="random steps (%)", xlim=(0, 91))
             ax.set(xticks=range(0, 100, 20))

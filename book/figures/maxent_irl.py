@@ -50,16 +50,24 @@ def learning(cells, alpha, num_frames=14):
     last = len(fit.history) - 1
     steps = np.geomspace(2, last + 1, num_frames - 2).astype(int) - 1
     steps = [last, 0, *steps]  # first what comes out
-    with plots.style():
-        fig, axes = plt.subplots(1, 2, figsize=(8.2, 4.1), dpi=100)
-    shades = plt.cm.ScalarMappable(plt.Normalize(-0.6, 0), plots.REWARD_MAP)
-    fig.colorbar(shades, ax=axes, shrink=0.75, label="learned reward")
+    # Few inches, so that a phone can show the text.
+    with plots.style(), plt.rc_context({"font.size": 15}):
+        fig, axes = plt.subplots(1, 2, figsize=(6.6, 5.0), dpi=100)
+        shades = plt.Normalize(-0.6, 0), plots.REWARD_MAP
+        below = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.03}
+        bar = fig.colorbar(
+            plt.cm.ScalarMappable(*shades),
+            ax=axes,
+            label="learned reward",
+            **below,
+        )
+        bar.set_ticks([-0.6, -0.3, 0], labels=["−0.6", "−0.3", "0"])
     panels = []
     for ax, side, maze, place in zip(
         axes,
         ("Left", "Right"),
         (left, right),
-        ("maze of the demonstrations", "the wall has moved"),
+        ("first maze", "wall moved"),
         strict=True,
     ):
         image = plots.grid(ax, np.zeros(S), side)
@@ -76,12 +84,13 @@ def learning(cells, alpha, num_frames=14):
             policy = soft_value_iteration(maze.mdp, reward, alpha).policy
             image.set_data((reward - reward.max()).reshape(cells, cells))
             value = policy_return(maze.mdp, policy, true_reward)
-            ax.set_title(f"{place}: return {value:.1f}".replace("-", "−"))
+            title = f"{place}: {value:.1f}".replace("-", "−")
+            ax.set_title(title, fontsize=16)
             way = likeliest_walk(maze, policy).T
             edge.set_data(*way)
             line.set_data(*way)
         plural = "" if steps[i] == 1 else "s"
-        fig.suptitle(f"the reward after {steps[i]} step{plural}", size=12)
+        fig.suptitle(f"the reward after {steps[i]} step{plural}", size=16)
 
     pictures = drawing.film(fig, draw, num_frames)
     return np.concatenate([pictures, *[pictures[-1:]] * 5])
