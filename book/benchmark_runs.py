@@ -32,6 +32,7 @@ Ends = Float64[np.ndarray, "seeds"]
 
 RECORDS = Path(__file__).parent / "records/benchmark-demo"
 COLD = RECORDS.parent / "iq-learn-cold-demo"
+COLDER = " --temperature 0.01"
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt", "Ant")
 METHODS = {
     "clone": "cloning",
@@ -658,8 +659,13 @@ def block_table(cells: Cells, block: str) -> str:
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
         for name, ends in rows_beside(block, method).items():
+            more = " --hidden 64 64" if method == "clone" else COLDER
+            how = _code(commands(block, method)[0] + more)
+            folded = (
+                f"<details><summary>{_small(more)}</summary>{how}</details>"
+            )
             texts = [text_of(ends[robot]) for robot in robots]
-            lines += [_title(f"<b>{name}</b>", width), _row(texts)]
+            lines += [_title(f"<b>{name}</b>{folded}", width), _row(texts)]
     if lines:
         lines.insert(0, _row(_heads(robots), "th"))
     if waiting:
