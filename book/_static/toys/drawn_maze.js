@@ -39,6 +39,7 @@
       label: "The maze, coloured by a learned reward, with the way that is planned on it.",
       help: "Arrow keys move the wall, with the shift key the start. Space lets the agent walk again.",
       shape: "toy-alone",
+      scale: ["low reward", "high"],
       draw: (ctx, w, h, colour) => {
         const b = board(n, w);
         paint.squares(ctx, b, (s) => window.toys.shade(colour.reward, rewards[seed][s] / 999), colour);

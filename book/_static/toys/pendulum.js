@@ -164,6 +164,7 @@
       title: "all its states, by what they are worth",
       label: "A map of angle and speed, coloured by the critics' value, with the way of the pendulum.",
       help: "Arrow keys move the state it starts from.",
+      scale: ["worth least", "most"],
       shape: "toy-wide",
       ratio: 0.49,
       narrow: 0.7,

@@ -73,6 +73,7 @@
       title: ["first maze", "wall moved"][k],
       label: ["The first maze", "The maze after the wall has moved"][k]
         + ", coloured by the reward, with the arrows of the policy that is planned on it.",
+      scale: ["low reward", "high"],
       draw: (ctx, w, h, colour) => {
         const b = board(n, w), {reward, plans, low, high} = now;
         const shade = (i) => window.toys.shade(colour.reward, (reward[i] - low) / (high - low || 1));

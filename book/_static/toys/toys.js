@@ -187,6 +187,7 @@ window.toys = window.toys || (() => {
       this.colour = dark() ? DARK : LIGHT;
       for (const [name, value] of Object.entries(this.colour))
         if (typeof value === "string") this.root.style.setProperty(`--toy-${name}`, value);
+      this.root.style.setProperty("--toy-ramp", `linear-gradient(90deg, ${this.colour.reward})`);
       this.redraw();
     }
 
@@ -207,8 +208,9 @@ window.toys = window.toys || (() => {
 
     // A picture: `draw(ctx, w, h, colour)` paints it, as high as `ratio` times its width, or `narrow` times on a phone.
     // `grab(x, y)` says whether a drag begins there; `drag(x, y)` and `drop(x, y)` follow.
-    // `keys[name]` are functions of the key's event; `label` and `help` are read aloud.
-    pane({label, help = "", title, caption, ratio = 1, narrow = ratio, draw, grab, drag, drop, keys, shape = ""}) {
+    // `keys[name]` are functions of the key's event; `label` and `help` are read aloud. `scale` names
+    // both ends of the colours of a map of rewards.
+    pane({label, help = "", title, caption, scale, ratio = 1, narrow = ratio, draw, grab, drag, drop, keys, shape = ""}) {
       const canvas = element("canvas", {
         role: grab || keys ? "application" : "img", "aria-label": `${label} ${help}`.trim(),
         ...(grab || keys ? {tabindex: 0} : {}),
@@ -220,6 +222,7 @@ window.toys = window.toys || (() => {
       figure.append(canvas);
       if (caption) figure.append(element("p", {class: "toy-caption"}));
       if (caption) figure.lastChild.innerHTML = caption;
+      if (scale) figure.append(element("p", {class: "toy-scale"}, scale[0], element("span"), scale[1]));
       this.stage.append(figure);
       const ctx = canvas.getContext("2d");
       const pane = {canvas, figure, w: 0, h: 0, paint: () => {

@@ -256,6 +256,7 @@
       label: "A maze with a wall that you can move.",
       help: "Arrow keys move the wall. Space lets both agents walk again.",
       shape: "toy-wide",
+      scale: ["low learned reward", "high"],
       draw: scene,
       keys: {...window.toys.arrowKeys(step), Space: space, Enter: space},
       grab: (x, y, ask) => {

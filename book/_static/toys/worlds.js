@@ -181,6 +181,7 @@
       (LEFT.reward[s] - span[0]) / (span[1] - span[0])), colour);
 
     toy.pane({title: "the first film", label: "The expert's way round the wall to the star.", shape: "toy-half",
+      scale: ["low reward", "high"],
       draw: (ctx, w, h, colour) => {
         const b = board(n, w);
         draw(ctx, b, 0, colour, () => { hill(ctx, b, colour); paint.wall(ctx, b, LEFT.wall, colour); });
@@ -189,6 +190,7 @@
       title: "the second film",
       label: "The same expert in another world.",
       help: "Arrow keys move its wall.",
+      scale: ["low reward", "high"],
       shape: "toy-half",
       draw: (ctx, w, h, colour) => {
         const b = board(n, w);
@@ -225,6 +227,7 @@
       title: "a new maze",
       label: "A maze with a door, coloured by the learned reward of each move, and the way planned on it.",
       help: "Arrow keys move its wall and its door.",
+      scale: ["low reward", "high"],
       draw: (ctx, w, h, colour) => {
         const b = board(n, w), low = Math.min(...now.reward), high = Math.max(...now.reward);
         draw(ctx, b, 2, colour, () => {
