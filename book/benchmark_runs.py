@@ -459,14 +459,14 @@ def _one(cells: Cells) -> tuple[str, bool]:
         return "", False
     averages = {method: average(cells, "1", method) for method in methods}
     in_order = sorted(methods, key=averages.__getitem__, reverse=True)
-    said = _listed([f"{METHODS[m]} to {averages[m]:.0f}" for m in in_order])
+    said = _listed([f"{METHODS[m]} {averages[m]:.0f}" for m in in_order])
     behind = []
     for other in methods[1:]:
         robots = _names(clear(cells, "1", "clone", other)[1])
-        behind.append(f"{METHODS[other]} on {robots}")
+        behind.append(f"behind {METHODS[other]} on {robots}")
     return (
-        "**One recording.** On average over the robots, in percent, come "
-        f"{said}; cloning is clearly behind {_listed(behind)}."
+        f"**One recording.** On average, in percent, {said}. Cloning is "
+        f"clearly {'; '.join(behind)}."
     ), True
 
 

@@ -78,7 +78,7 @@ SAYS = {
     2: "off-policy AIRL does, on Hopper and Walker2d; on HalfCheetah and "
     "Ant it is comparable",
     3: "the transfer to two weak legs fails",
-    4: "some old policies find the new way, some do not (“high variance”)",
+    4: "some old policies find the new way, some do not",
     5: "they improve imitation on HalfCheetah and Ant",
     6: "training it alone, over old primitives, fails",
     7: "with them the outcome varies less than with SAC",

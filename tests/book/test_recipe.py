@@ -152,8 +152,8 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     said = f"came to {twenty:.0f} % of the expert on average**, with fifty to {fifty:.0f}"
     assert f"{said}, with ten to {ten:.0f}, with four to {four:.0f}." in text
     readme = " ".join((ROOT / "README.md").read_text().split())
-    said = f"comes to {twenty:.0f} % of the expert on average over five robots with twenty"
-    assert f"{said}, to {fifty:.0f} with fifty, and to {ten:.0f} with ten." in readme
+    said = f"comes on average over five robots to {ten:.0f} % of the expert with ten"
+    assert f"{said}, to {twenty:.0f} with twenty, and to {fifty:.0f} with fifty." in readme
     assert "| | clone, 256-256 | clone, 64-64 | the run from it | recipe alone |" in PAGE
     small = benchmark_runs.clones_beside("4-small")
     for robot in benchmark_runs.ROBOTS:
@@ -218,7 +218,7 @@ def test_what_to_use_when_says_what_is_known(monkeypatch):
     many, few, one, no_actions, either = bench.advice(full)
     assert "clone them.** " in many
     assert "from four recordings: cloning.** " in few
-    assert "come cloning to 82, the recipe to 62, DAC to 62 and state-only DAC to 62; " in one
+    assert "cloning 82, the recipe 62, DAC 62 and state-only DAC 62. " in one
     assert "without recorded actions" not in no_actions
     assert "ahead on no robot, and clearly behind on no robot" in either
     assert "Not run yet" not in bench.block_table(full, "4")
