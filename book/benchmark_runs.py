@@ -397,37 +397,29 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def _many(cells: Cells) -> tuple[str, bool]:
-    """Return the sentence, and whether it answers the question."""
-    begin = "**Fifty recordings with their actions"
-    if not _complete(cells, "50", ("clone", "airl", "dac")):
-        parts = [
-            f"{summary(cells['50', robot, 'clone'].ends).mean:.0f} % on "
-            f"{robot}"
-            for robot in ROBOTS
-            if ("50", robot, "clone") in cells
-        ]
-        if not parts:
-            return "", False
-        return (
-            f"{begin}, so far:** clones come to {_listed(parts)}, without "
-            "a step of the task."
-        ), False
-    behind = {
-        robot
-        for other in ("airl", "dac")
-        for robot in clear(cells, "50", "clone", other)[1]
-    }
-    worse = _names([robot for robot in ROBOTS if robot in behind])
-    clone, airl, dac = (
-        average(cells, "50", method) for method in ("clone", "airl", "dac")
-    )
-    what = "clone them" if len(behind) < 2 else "cloning is not enough"
+    """Return the sentence, and whether it answers the question.
+
+    It compares cloning with the recipe and DAC, as far as they have been
+    run on all robots.
+    """
+    others = [m for m in ("airl", "dac") if _complete(cells, "50", [m])]
+    if not others or not _complete(cells, "50", ["clone"]):
+        return "", False
+    averages, compared = [], []
+    for method in ("clone", *others):
+        mean = average(cells, "50", method)
+        averages.append(f"{METHODS[method]} comes to {mean:.0f} %")
+    for other in others:
+        ahead, behind = map(_names, clear(cells, "50", "clone", other))
+        name = METHODS[other]
+        compared.append(
+            f"ahead of {name} on {ahead}, and behind on {behind}"
+        )
     return (
-        f"{begin}: {what}.** On average over the robots cloning comes to "
-        f"{clone:.0f} % without a step of the task, the recipe to "
-        f"{airl:.0f} % and DAC to {dac:.0f} %; cloning is clearly behind "
-        f"one of the two on {worse}."
-    ), True
+        f"**Fifty recordings with their actions.** On average over the "
+        f"robots {_listed(averages)}. Cloning, which takes no step of the "
+        f"task, is clearly {'; '.join(compared)}."
+    ), len(others) == 2
 
 
 def _few(cells: Cells) -> tuple[str, bool]:

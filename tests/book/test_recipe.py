@@ -216,7 +216,8 @@ def test_what_to_use_when_says_what_is_known(monkeypatch):
     assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
     full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
     many, few, one, no_actions, either = bench.advice(full)
-    assert "clone them.** " in many
+    assert "cloning comes to 82 %, the recipe comes to 62 % and DAC comes to 62 %. " in many
+    assert "ahead of the recipe on all five robots, and behind on no robot; ahead of DAC" in many
     assert "from four recordings: cloning.** " in few
     assert "cloning 82, the recipe 62, DAC 62 and state-only DAC 62. " in one
     assert "without recorded actions" not in no_actions
