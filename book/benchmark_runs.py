@@ -32,7 +32,6 @@ Ends = Float64[np.ndarray, "seeds"]
 
 RECORDS = Path(__file__).parent / "records/benchmark-demo"
 COLD = RECORDS.parent / "iq-learn-cold-demo"
-COLDER = " --temperature 0.01"
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "CustomAnt", "Ant")
 METHODS = {
     "clone": "cloning",
@@ -297,14 +296,19 @@ def iq_learn_cold() -> dict[str, Ends]:
     return found
 
 
-def rows_beside(block: str, method: str) -> dict[str, dict[str, Ends]]:
-    """Return rows of a method with other settings than the plan's."""
+def row_beside(
+    block: str, method: str
+) -> tuple[str, str, Mapping[str, Ends]] | None:
+    """Return a method's row with another setting than the plan's, if any.
+
+    It has a name, the option of the command, and the ends by robot.
+    """
     if method == "clone" and block in ("1", "4"):
         small = clones_beside(f"{block}-small")
-        return {"cloning, with networks of 64-64": small}
+        return "cloning, with networks of 64-64", "--hidden 64 64", small
     if method == "iq-learn" and block == "4":
-        return {"IQ-Learn at 0.01": iq_learn_cold()}
-    return {}
+        return "IQ-Learn at 0.01", "--temperature 0.01", iq_learn_cold()
+    return None
 
 
 def lead(
@@ -416,7 +420,7 @@ def _many(cells: Cells) -> tuple[str, bool]:
             f"ahead of {name} on {ahead}, and behind on {behind}"
         )
     return (
-        f"**Fifty recordings with their actions.** On average over the "
+        "**Fifty recordings with their actions.** On average over the "
         f"robots {_listed(averages)}. Cloning, which takes no step of the "
         f"task, is clearly {'; '.join(compared)}."
     ), len(others) == 2
@@ -517,8 +521,8 @@ def rows_of_four(cells: Cells) -> Rows:
         if ends:
             rows[name] = method, ends
         if method == "iq-learn":
-            for name, ends in rows_beside("4", method).items():
-                rows[name] = method, ends
+            name, _, ends = row_beside("4", method)
+            rows[name] = method, ends
     return rows
 
 
@@ -650,12 +654,11 @@ def block_table(cells: Cells, block: str) -> str:
         about = f"<b>{METHODS[method]}</b>{folded}"
         texts = [text_of(cell.ends if cell else None) for cell in row]
         lines += [_title(about, width), _row(texts)]
-        for name, ends in rows_beside(block, method).items():
-            more = " --hidden 64 64" if method == "clone" else COLDER
-            how = _code(commands(block, method)[0] + more)
-            folded = (
-                f"<details><summary>{_small(more)}</summary>{how}</details>"
-            )
+        if beside := row_beside(block, method):
+            name, option, ends = beside
+            how = _code(f"{commands(block, method)[0]} {option}")
+            folded = f"<details><summary>{_small(option)}</summary>{how}"
+            folded += "</details>"
             texts = [text_of(ends[robot]) for robot in robots]
             lines += [_title(f"<b>{name}</b>{folded}", width), _row(texts)]
     if lines:

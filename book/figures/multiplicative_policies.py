@@ -17,6 +17,7 @@ SKILLS = {"walk": plots.PURPLE, "reach": plots.BLUE}
 
 
 OFFERED = ListedColormap([plots.RED, plots.GREEN])
+"""No primitive pushes left, and some primitive does."""
 
 
 def film_of_the_gate(num_frames=32):
