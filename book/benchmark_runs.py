@@ -353,157 +353,56 @@ def costs(cells: Cells) -> HTML:
     return table(heads, rows)
 
 
-# What to use when. Each sentence is made of the cells.
+DUELS = (
+    ("1", "airl", "clone"),
+    ("1", "dac", "airl"),
+    ("1", "state-dac", "airl"),
+    ("4", "airl", "clone"),
+    ("4", "airl-warm", "clone"),
+    ("4", "airl-warm", "airl"),
+    ("4", "dac", "airl"),
+    ("4", "state-dac", "airl"),
+    ("4", "state-dac", "dac"),
+    ("50", "airl", "clone"),
+    ("50", "dac", "clone"),
+    ("50", "dac", "airl"),
+)
+"""Two methods with the same demonstrations: which is ahead?"""
 
 
-def advice(cells: Cells) -> list[str]:
-    """Return what to use: with many demonstrations, few, one, no actions.
+class Duel(NamedTuple):
+    """Two methods with the same demonstrations, as far as they were run.
 
-    While cells are missing, a sentence says what they show so far, if
-    anything, and the last one which questions are open.
+    `signs` has, by robot, 1 where the first is clearly ahead, -1 where it
+    is clearly behind, and 0 where neither is clear; `lead` is the first's
+    on average over the robots, with its interval, or None if one of them
+    is missing.
     """
-    answers = {
-        "with fifty recordings": _many(cells),
-        "with four": _few(cells),
-        "with one": _one(cells),
-        "without recorded actions": _no_actions(cells),
-    }
-    sentences = [text for text, _ in answers.values() if text]
-    if text := _dac(cells):
-        sentences.append(text)
-    waiting = [name for name, (_, known) in answers.items() if not known]
-    if waiting:
-        sentences.append(
-            f"**Not known yet:** what is best {'; '.join(waiting)}. Not "
-            "all of the cells that would tell are there."
-        )
-    return sentences
+
+    block: str
+    one: str
+    other: str
+    signs: Mapping[str, int]
+    lead: tuple[float, float, float] | None
 
 
-def _complete(cells: Cells, block: str, methods: Iterable[str]) -> bool:
-    """Return whether these methods have all their cells."""
-    return {(block, r, m) for m in methods for r in PLAN[block][m]} <= set(
-        cells
-    )
-
-
-def _names(robots: Sequence[str]) -> str:
-    """Return robots as a list in words."""
-    if len(robots) == len(ROBOTS):
-        return "all five robots"
-    return _listed(robots) or "no robot"
-
-
-def _listed(texts: Sequence[str]) -> str:
-    """Return texts as a list in words."""
-    *first, last = texts or [""]
-    return f"{', '.join(first)} and {last}" if first else last
-
-
-def _many(cells: Cells) -> tuple[str, bool]:
-    """Return the sentence, and whether it answers the question.
-
-    It compares cloning with the recipe and DAC, as far as they have been
-    run on all robots.
-    """
-    others = [m for m in ("airl", "dac") if _complete(cells, "50", [m])]
-    if not others or not _complete(cells, "50", ["clone"]):
-        return "", False
-    averages, compared = [], []
-    for method in ("clone", *others):
-        mean = average(cells, "50", method)
-        averages.append(f"{METHODS[method]} comes to {mean:.0f} %")
-    for other in others:
-        ahead, behind = map(_names, clear(cells, "50", "clone", other))
-        name = METHODS[other]
-        compared.append(
-            f"ahead of {name} on {ahead}, and behind on {behind}"
-        )
-    return (
-        "**Fifty recordings with their actions.** On average over the "
-        f"robots {_listed(averages)}. Cloning, which takes no step of the "
-        f"task, is clearly {'; '.join(compared)}."
-    ), len(others) == 2
-
-
-def _few(cells: Cells) -> tuple[str, bool]:
-    """Return the sentence, and whether it answers the question."""
-    methods = tuple(PLAN["4"])
-    if not _complete(cells, "4", methods):
-        return "", False
-    averages = {method: average(cells, "4", method) for method in methods}
-    best, second, *_ = sorted(averages, key=averages.get, reverse=True)
-    other = second if best == "clone" else "clone"
-    ahead, behind = clear(cells, "4", best, other)
-    text = (
-        "**The highest average from four recordings: "
-        f"{METHODS[best]}.** It comes to {averages[best]:.0f} %, and "
-        f"{METHODS[second]}, the next, to {averages[second]:.0f} %"
-    )
-    if "clone" not in (best, second):
-        text += f"; cloning comes to {averages['clone']:.0f} %"
-    return (
-        f"{text}; it is clearly ahead of {METHODS[other]} on "
-        f"{_names(ahead)}, and clearly behind on {_names(behind)}."
-    ), True
-
-
-def _one(cells: Cells) -> tuple[str, bool]:
-    """Return the sentence, and whether it answers the question."""
-    methods = tuple(PLAN["1"])
-    if not _complete(cells, "1", methods):
-        return "", False
-    averages = {method: average(cells, "1", method) for method in methods}
-    in_order = sorted(methods, key=averages.__getitem__, reverse=True)
-    said = _listed([f"{METHODS[m]} {averages[m]:.0f}" for m in in_order])
-    behind = []
-    for other in methods[1:]:
-        robots = _names(clear(cells, "1", "clone", other)[1])
-        behind.append(f"behind {METHODS[other]} on {robots}")
-    return (
-        f"**One recording.** On average, in percent, {said}. Cloning is "
-        f"clearly {'; '.join(behind)}."
-    ), True
-
-
-def _dac(cells: Cells) -> str:
-    """Return where the recipe and DAC differ, with four demonstrations."""
-    both = [
-        robot
-        for robot in ROBOTS
-        if {("4", robot, m) for m in ("airl", "dac")} <= set(cells)
-    ]
-    if not both:
-        return ""
-    ahead, behind = clear(cells, "4", "airl", "dac", both)
-    level = [robot for robot in both if robot not in (*ahead, *behind)]
-    return (
-        "**The recipe or DAC, from four recordings:** the recipe is "
-        f"clearly ahead on {_names(ahead)}, and clearly behind on "
-        f"{_names(behind)}; the difference is not clear on "
-        f"{_names(level)}."
-    )
-
-
-def _no_actions(cells: Cells) -> tuple[str, bool]:
-    """Return the sentence, and whether it answers the question."""
-    if not _complete(cells, "4", ("airl", "state-dac")):
-        return "", False
-    recipe, states = (
-        average(cells, "4", method) for method in ("airl", "state-dac")
-    )
-    ahead, behind = clear(cells, "4", "airl", "state-dac")
-    what = "the recipe"
-    if len(behind) > len(ahead):
-        what = "state-only DAC for the first, the recipe for the second"
-    return (
-        f"**No actions, or a reward to use again: {what}.** Neither method "
-        "looks at demonstrated actions, and the package keeps the recipe's "
-        "reward alone; with four recordings the recipe comes to "
-        f"{recipe:.0f} % on average, and state-only DAC to "
-        f"{states:.0f} %; the recipe is clearly ahead on {_names(ahead)}, "
-        f"and clearly behind on {_names(behind)}."
-    ), True
+def duels(cells: Cells) -> list[Duel]:
+    """Return the duels of which there is anything to tell."""
+    found = []
+    for block, *pair in DUELS:
+        ends = {
+            robot: [cells[block, robot, method].ends for method in pair]
+            for robot in ROBOTS
+            if {(block, robot, method) for method in pair} <= set(cells)
+        }
+        if not ends:
+            continue
+        ahead, behind = clear(cells, block, *pair, ends)
+        signs = {r: (r in ahead) - (r in behind) for r in ends}
+        whole = len(ends) == len(ROBOTS)
+        by = lead(*zip(*ends.values(), strict=True)) if whole else None
+        found.append(Duel(block, *pair, signs, by))
+    return found
 
 
 def rows_of_four(cells: Cells) -> Rows:
@@ -683,6 +582,33 @@ def show(cells: Cells, *blocks: str) -> HTML:
     """Return the tables of some blocks."""
     tables = "".join(block_table(cells, block) for block in blocks)
     return HTML(tables)
+
+
+SIGNS = {
+    1: f'<b style="color: var(--pst-color-info, {plots.BLUE})">▲</b>',
+    -1: f'<b style="color: var(--pst-color-warning, {plots.ORANGE})">▼</b>',
+    0: "·",
+}
+"""How a table says who is ahead: the first, the second, nobody clearly."""
+
+
+def show_duels(found: Iterable[Duel]) -> HTML:
+    """Return duels as a table: two rows each, below their block's title."""
+    width, lines, title = len(ROBOTS) + 1, [], None
+    for block, one, other, signs, by in found:
+        if block != title:
+            title = block
+            heads = [*_heads(ROBOTS), "average<br>lead"]
+            lines += [_title(BLOCKS[block], width, "th"), _row(heads, "th")]
+        marks = [SIGNS[signs[r]] if r in signs else "–" for r in ROBOTS]
+        average = "–"
+        if by:
+            mean, low, high = map(number, by)
+            rest = _small(f"{low}&nbsp;to&nbsp;{high}")
+            average = f"<b>{mean}</b><br>{rest}"
+        pair = f"<b>{METHODS[one]}</b>, against {METHODS[other]}"
+        lines += [_title(pair, width), _row([*marks, average])]
+    return HTML(f'<table class="table">{"".join(lines)}</table>')
 
 
 def show_theirs() -> HTML:

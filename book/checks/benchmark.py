@@ -1,7 +1,6 @@
 """What the note on the benchmark says, of whatever is recorded so far."""
 
 import csv
-import re
 
 import numpy as np
 
@@ -179,59 +178,36 @@ def every_name_is_known(cells):
 
 
 @recorded
-def advice_is_of_the_cells(cells, ADVICE):
-    """What to use when says the average over the robots of each method that
-    it compares, and that it is not known yet where a cell is missing."""
-    questions = {
-        "with fifty recordings": ("50", ("clone", "airl", "dac")),
-        "with four": ("4", tuple(METHODS)),
-        "with one": ("1", tuple(PLAN["1"])),
-        "without recorded actions": ("4", ("airl", "state-dac")),
-    }
-    said = " ".join(ADVICE)
-    _, _, waiting = said.partition("**Not known yet:**")
-    for question, (block, methods) in questions.items():
-        keys = [(block, r, m) for m in methods for r in ROBOTS]
-        known = all(key in cells for key in keys)
-        assert known != (question in waiting)
-        if not known:
-            continue
-        averages = {}
-        for method in methods:
-            ends = [
-                np.sort(cells[block, robot, method].ends)
-                for robot in ROBOTS
-            ]
+def who_is_ahead_is_of_the_cells(cells, FOUND):
+    """A duel has a sign for each robot on which both methods were run: that
+    of the interval of their difference, 0 if it includes 0. Where all five
+    were run, the lead is the difference of the averages."""
+    asked = {duel[:3] for duel in FOUND}
+    assert len(asked) == len(FOUND) > 0
+    for block, one, other, signs, by in FOUND:
+        gaps = []
+        for robot in ROBOTS:
+            keys = [(block, robot, method) for method in (one, other)]
+            assert (robot in signs) == all(key in cells for key in keys)
+            if robot not in signs:
+                continue
+            ends = [np.sort(cells[key].ends) for key in keys]
             means = [x[len(x) // 4 : -(len(x) // 4)].mean() for x in ends]
-            averages[method] = np.mean(means)
-        if len(methods) == len(METHODS):
-            best = max(averages, key=averages.get)
-            assert f"recordings: {METHODS[best]}.**" in said
-            assert f"It comes to {averages[best]:.0f} %" in said
-        else:
-            assert all(f" {x:.0f}" in said for x in averages.values())
+            gaps.append(means[0] - means[1])
+            _, low, high = difference(*ends)
+            assert signs[robot] == (low > 0) - (high < 0)
+        assert (by is not None) == (len(gaps) == len(ROBOTS))
+        if by:
+            mean, low, high = by
+            assert np.isclose(mean, np.mean(gaps))
+            assert low < mean < high
 
 
 @recorded
-def the_recipe_or_dac(cells, ADVICE):
+def dac_and_the_recipe_with_four(cells):
     """With four recordings DAC is clearly ahead of the recipe on Walker2d
-    alone, and what to use when says on which robots they do not differ."""
-    (text,) = [x for x in ADVICE if x.startswith("**The recipe or DAC")]
-    ahead, _, level = text.partition("; ")
-    for robot in ROBOTS:
-        pair = [
-            cells["4", robot, method].ends
-            for method in ("airl", "dac")
-            if ("4", robot, method) in cells
-        ]
-        if len(pair) < 2:
-            assert not re.search(rf"\b{robot}\b", text)
-            continue
-        _, low, high = difference(*pair)
-        assert (high < 0) == (robot == "Walker2d")
-        assert low < 0
-        place = ahead if high < 0 else level
-        assert re.search(rf"\b{robot}\b", place)
+    alone, and behind on no robot."""
+    assert clear(cells, "4", "dac", "airl") == (["Walker2d"], [])
 
 
 @recorded

@@ -199,31 +199,32 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     assert f"at its authors' default, 0.01, IQ-Learn comes to {np.mean(cold):.0f} % on" in text
 
 
-def test_what_to_use_when_says_what_is_known(monkeypatch):
-    """With some of the cells, all, or none."""
+def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
+    """With none of them, some, or all."""
     monkeypatch.syspath_prepend(str(ROOT / "book"))
     import benchmark_runs as bench
 
     def cell(mean):
         return bench.Cell(mean + np.arange(5.0), 100_000, 1.0)
 
-    assert [text[:19] for text in bench.advice({})] == ["**Not known yet:** "]
+    assert bench.duels({}) == []
     some = {("4", "Hopper", "airl"): cell(80.0), ("4", "Hopper", "clone"): cell(50.0)}
-    (waiting,) = bench.advice(some)
-    assert (
-        "with fifty recordings; with four; with one; without recorded actions. Not all" in waiting
-    )
+    assert bench.duels(some) == [bench.Duel("4", "airl", "clone", {"Hopper": 1}, None)]
+    shown = bench.show_duels(bench.duels(some)).data
+    assert (shown.count("▲"), shown.count("▼"), shown.count("–")) == (1, 0, 5)
     table = bench.block_table(some, "4")
     assert table.count("–") == 8
     assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
     full = {key: cell(60.0 + 20 * (key[2] == "clone")) for key in bench.planned()}
-    many, few, one, no_actions, either = bench.advice(full)
-    assert "cloning comes to 82 %, the recipe comes to 62 % and DAC comes to 62 %. " in many
-    assert "ahead of the recipe on all five robots, and behind on no robot; ahead of DAC" in many
-    assert "from four recordings: cloning.** " in few
-    assert "cloning 82, the recipe 62, DAC 62 and state-only DAC 62. " in one
-    assert "without recorded actions" not in no_actions
-    assert "ahead on no robot, and clearly behind on no robot" in either
+    found = {duel[:3]: duel for duel in bench.duels(full)}
+    assert set(found) == set(bench.DUELS)
+    assert set(found["4", "dac", "airl"].signs.values()) == {0}
+    behind = found["50", "airl", "clone"]
+    assert set(behind.signs.values()) == {-1}
+    assert behind.lead[0] == -20
+    shown = bench.show_duels(bench.duels(full)).data
+    assert shown.count("▼") == 5 * sum(other == "clone" for *_, other in bench.DUELS)
+    assert ">−20<" in shown
     assert "Not run yet" not in bench.block_table(full, "4")
 
 
