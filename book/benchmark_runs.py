@@ -594,21 +594,26 @@ SIGNS = {
 
 def show_duels(found: Iterable[Duel]) -> HTML:
     """Return duels as a table: two rows each, below their block's title."""
-    width, lines, title = len(ROBOTS) + 1, [], None
-    for block, one, other, signs, by in found:
-        if block != title:
-            title = block
-            heads = [*_heads(ROBOTS), "average<br>lead"]
-            lines += [_title(BLOCKS[block], width, "th"), _row(heads, "th")]
-        marks = [SIGNS[signs[r]] if r in signs else "–" for r in ROBOTS]
-        average = "–"
-        if by:
-            mean, low, high = map(number, by)
-            rest = _small(f"{low}&nbsp;to&nbsp;{high}")
-            average = f"<b>{mean}</b><br>{rest}"
-        pair = f"<b>{METHODS[one]}</b>, against {METHODS[other]}"
-        lines += [_title(pair, width), _row([*marks, average])]
+    width, lines, title = len(ROBOTS), [], None
+    for duel in found:
+        if duel.block != title:
+            title = duel.block
+            lines.append(_title(BLOCKS[title], width, "th"))
+            lines.append(_row(_heads(ROBOTS), "th"))
+        pair = f"<b>{METHODS[duel.one]}</b>, against {METHODS[duel.other]}"
+        marks = [SIGNS.get(duel.signs.get(robot), "–") for robot in ROBOTS]
+        lines += [_title(pair + _lead(duel), width), _row(marks)]
     return HTML(f'<table class="table">{"".join(lines)}</table>')
+
+
+def _lead(duel: Duel) -> str:
+    """Return the lead of a duel in words, if it has one."""
+    if duel.lead is None:
+        return ""
+    mean, low, high = duel.lead
+    word = "ahead" if mean > 0 else "behind"
+    interval = f"{number(low)} to {number(high)}"
+    return f": {abs(mean):.0f} {word} ({interval})"
 
 
 def show_theirs() -> HTML:
