@@ -35,10 +35,18 @@ def bare(axes: Axes | Sequence[Axes]) -> None:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> HTML:
-    """Return a table: names of rows first, then columns of numbers."""
+    """Return a table: names of rows first, then columns of numbers.
+
+    A row of one cell is the heading of the rows below it.
+    """
 
     def line(cells: Sequence[str], tag: str) -> str:
         first, *rest = cells
+        if not rest:
+            group = (
+                f'<th colspan="{len(head)}" style="padding-top: 1.2rem">'
+            )
+            return f"<tr>{group}{first}</th></tr>"
         right = f'<{tag} style="text-align: right">'
         numbers = "".join(f"{right}{cell}</{tag}>" for cell in rest)
         return f"<tr><{tag}>{first}</{tag}>{numbers}</tr>"

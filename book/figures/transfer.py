@@ -286,51 +286,61 @@ def _seeds(count, of):
     )
 
 
-def _tables(*parts):
-    """Return tables, each below the sentence that it shows."""
-    text = "".join(
+def _tables(*parts, folded=False):
+    """Return tables, each below the sentence that it shows.
+
+    If `folded`, a reader opens the last one with a click on its sentence.
+    """
+    texts = [
         f'<p style="margin: 1.5rem 0 0.5rem"><b>{message}</b></p>'
         f"{shown.data}"
         for message, shown in parts
-    )
-    return HTML(text)
+    ]
+    if folded:
+        message, shown = parts[-1]
+        texts[-1] = (
+            f"<details><summary><b>{message}</b></summary>"
+            f"{shown.data}</details>"
+        )
+    return HTML("".join(texts))
 
 
 def starts_and_helps(counts):
-    """Return two tables of how many seeds arrive: new and old policies."""
+    """Return two tables of how many seeds arrive: by steps and by guide."""
+    names = "scratch", "old policy", "gate and primitives", "gate alone"
 
     def dots(size_of, end_of, arm):
         count = counts[size_of][end_of][arm]
-        return _seeds(int(count), {SMALL: 5, LARGE: 10}[size_of])
+        of = {SMALL: 5, LARGE: 10}[size_of]
+        return _seeds(int(count), of) if count else "not run"
 
-    new = table(
-        ["from scratch", "long fresh", "long held"],
-        [
-            (
-                "small networks",
-                dots(SMALL, "-fresh", 0),
-                dots(SMALL, "-helped", 0),
-            ),
-            ("the paper’s", "not run", dots(LARGE, "-helped", 0)),
-        ],
-    )
-    lines = []
-    for size_of, label in (
-        (SMALL, "small networks"),
-        (LARGE, "the paper’s networks"),
-    ):
-        lines.append((f"<b>{label}</b>", "", "", ""))
-        for end_of, row in counts[size_of].items():
-            if all(row[1:]):
-                parts = [dots(size_of, end_of, arm) for arm in (1, 2, 3)]
-                lines.append((HELPS[end_of], *parts))
+    warm_ups = ("", "-fresh", "-helped")
+    steps = [
+        (name, *(dots(SMALL, end_of, arm) for end_of in warm_ups))
+        for arm, name in enumerate(names)
+    ]
+    large = [dots(LARGE, end_of, 0) for end_of in warm_ups]
+    steps.append(("scratch, the paper’s<br>networks", *large))
+    guides = [
+        (name, *(dots(LARGE, end_of, arm) for arm in (1, 2, 3)))
+        for name, end_of in (
+            ("no guide", ""),
+            ("the imitator", "-own-starts"),
+            ("an expert of<br>the new maze", "-expert-starts"),
+        )
+    ]
+    columns = ("short<br>fresh", "long<br>fresh", "long<br>held")
     heads = ("old<br>policy", "gate and<br>primitives", "gate<br>alone")
-    old = table(["kept, after", *heads], lines)
     return _tables(
-        ("From scratch: the random steps decide.", new),
         (
-            "From old parts: after fresh steps an expert guides best.",
-            old,
+            "Which random steps? After long held ones all arrive but the "
+            "gate alone.",
+            table(["start", *columns], steps),
+        ),
+        (
+            "Which guide? After short fresh steps an expert guides best "
+            "(the paper’s networks).",
+            table(["guide", *heads], guides),
         ),
     )
 
@@ -358,14 +368,14 @@ def when_a_gate(offered, arrived, gated):
 
 
 KINDS = {
-    "the state, off-policy": (
+    "Rewards of the state, learned off-policy": (
         "exact logit",
         "density of the replay",
         "released loss",
     ),
-    "the action too": ("DAC", "PPO, r(s, a)"),
-    "the state, on-policy": ("PPO, r(s)",),
-    "control": ("true reward",),
+    "Rewards of state and action": ("DAC", "PPO, r(s, a)"),
+    "A reward of the state, learned on-policy": ("PPO, r(s)",),
+    "Control": ("true reward",),
 }
 
 
@@ -383,7 +393,7 @@ def where_rewards_lead(found, blamed, backwards):
     names = NAMED | {"back": "the same, right to left"}
     held, fresh, none = [], [], 0
     for kind, members in KINDS.items():
-        held.append((f"<i>{kind}</i>", "", "", ""))
+        held.append((kind,))
         for name in members:
             with_way_back = name == "exact logit"
             for each in (name, "back") if with_way_back else (name,):
@@ -394,12 +404,14 @@ def where_rewards_lead(found, blamed, backwards):
                     bad = f"{sum(blamed[each][:2])} of {failed}"
                 dots = [_seeds(count, 5) for count in counts]
                 title = names.get(each, each)
-                held.append((title, *dots[:2], bad))
+                # The line above its group says what it sees.
+                brief = title.partition(", r(")[0]
+                held.append((brief, *dots[:2], bad))
                 if any(counts[2:]):
                     fresh.append((title, *dots[2:]))
                 none += not any(counts[2:])
     fresh.append((f"each of the {none} others", *[_seeds(0, 5)] * 2))
-    heads = ["reward that sees", "from<br>scratch", "old<br>policy"]
+    heads = ["reward", "from<br>scratch", "old<br>policy"]
     return _tables(
         (
             "After held steps: the reward decides.",
@@ -407,8 +419,9 @@ def where_rewards_lead(found, blamed, backwards):
         ),
         (
             "After fresh steps hardly any arrive, even on the true reward.",
-            table(["reward", *heads[1:]], fresh),
+            table(heads, fresh),
         ),
+        folded=True,
     )
 
 

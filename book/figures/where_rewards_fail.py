@@ -107,36 +107,41 @@ def _draw_path(ax, path, color):
     )
 
 
+GROUPS = {  # what is shown, and the routes below it
+    "The true reward": ("SAC on the true reward",),
+    "Off-policy AIRL, 50,000 steps": (OURS, HOME, WESTERN),
+    "DAC, 6,000 steps": ("DAC, imitation", "new policy on DAC's reward"),
+}
+
+
 def routes(marsh, last, expert, wet, arrived):
     """Return the table of ways to the star."""
-    return table(
-        [
-            "policy",
-            "start",
-            "steps in<br>the marsh",
-            "arrive",
-            "median<br>return",
-        ],
-        [
-            (
-                "demonstrations",
-                "old",
-                "0.0",
-                f"{(last < 0.15).sum()} of 50",
-                number(np.median(expert.returns)),
-            ),
-            *(
+    shown = (
+        "demonstrations",
+        "old",
+        "0.0",
+        f"{(last < 0.15).sum()} of 50",
+        number(np.median(expert.returns)),
+    )
+    rows = []
+    for group, names in GROUPS.items():
+        rows.append((group,))
+        if not rows[1:]:
+            rows.append(shown)
+        for name in names:
+            start, _ = ROUTES[name]
+            does = "imitation" if "imitation" in name else "new policy"
+            rows.append(
                 (
-                    HOME if name == WESTERN else name,
+                    does,
                     start,
                     span(wet[name]),
                     f"{arrived[name].sum()} of 5",
                     number(np.median(marsh[name].returns[:, -1])),
                 )
-                for name, (start, _) in ROUTES.items()
-            ),
-        ],
-    )
+            )
+    heads = "start", "steps in<br>the marsh", "arrive", "median<br>return"
+    return table(["policy", *heads], rows)
 
 
 def maps(kept, values):
