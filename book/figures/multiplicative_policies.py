@@ -108,7 +108,7 @@ def ellipses(compose):
 
     with plots.style():
         _fig, axes = plt.subplots(
-            1, 3, figsize=(6.6, 2.7), sharex=True, sharey=True
+            1, 3, figsize=(5.6, 2.5), sharex=True, sharey=True
         )
         walk, reach = SKILLS.values()
         gates = ([0.5, 0.5], [0.9, 0.1], [0.1, 0.9])
@@ -132,7 +132,7 @@ def two_skills(added, multiplied):
     """Draw robots whose skills are added, and multiplied."""
     with plots.style():
         _fig, axes = plt.subplots(
-            1, 2, figsize=(6.6, 3.6), sharex=True, sharey=True
+            1, 2, figsize=(5.2, 3.3), sharex=True, sharey=True
         )
         shown = (
             ("added", added, plots.GREY),
@@ -143,8 +143,8 @@ def two_skills(added, multiplied):
             ax.plot(*paths.T, color=color, alpha=0.35, lw=1)
             ax.plot(*paths[:, -1].T, "o", color=color, ms=4)
             ax.plot(1, 1, "*", color=plots.ORANGE, mec="black", ms=17)
-            ax.set(title=name, xlabel="legs: metres walked", aspect="equal")
-        axes[0].set_ylabel("arm: metres raised")
+            ax.set(title=name, xlabel="legs: metres", aspect="equal")
+        axes[0].set_ylabel("arm: metres")
         plt.show()
 
 
@@ -192,7 +192,7 @@ def gates(five, run, expert, ends):
     """Draw the returns of actors with several gates."""
     with plots.style():
         _fig, axes = plt.subplots(
-            1, 2, figsize=(7.4, 3.4), width_ratios=(2, 4)
+            2, 1, figsize=(4.9, 5.2), height_ratios=(2, 3)
         )
         plots.curve(axes[0], five.steps, five.returns, "4 primitives")
         here = {"color": plots.PURPLE, "label": "trained here"}
@@ -264,7 +264,7 @@ def gate_and_primitives(parts, policy, weight, x, y):
         ax.set_axis_off()
 
     with plots.style():
-        fig, axes = plt.subplot_mosaic("01p;23p", figsize=(7.4, 5.2))
+        fig, axes = plt.subplot_mosaic("01;23;pp", figsize=(4.9, 7.4))
         maps = [axes[name] for name in "0123"]
         for k, ax in enumerate(maps):
             shares = weight[:, k].reshape(x.shape)
@@ -308,7 +308,7 @@ def offers(seeds, pushed, shares, x, y):
 def weights(along):
     """Draw the weights along an episode."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.4, 2.4))
+        _fig, ax = plt.subplots(figsize=(4.9, 2.6))
         styles = zip(
             (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE),
             ("-", "--", "-.", ":"),
