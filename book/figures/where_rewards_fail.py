@@ -167,7 +167,7 @@ def maps(kept, values):
 def marshes(drawn, paths):
     """Draw true and learned rewards, and paths."""
     with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(6.4, 5.8))
+        fig, axes = plt.subplots(2, 2, figsize=(5.4, 5.0))
         panels = zip(axes.flat, drawn.items(), strict=True)
         for ax, (title, (value, walk)) in panels:
             image = _draw_marsh(ax, value, title)
@@ -248,13 +248,13 @@ def _short(name):
 def what_each_sees():
     """Draw what the networks of the ant see."""
     diagram(
-        (7.2, 2.8),
+        (4.7, 3.9),
         {
-            "obs": (0.95, 1.4, "CustomAnt\n111 numbers", plots.GREEN),
-            "pi": (3.3, 2.4, "policy " + r"$\pi$", plots.COPY),
-            "r": (3.4, 1.4, "reward " + r"$r_\psi$", plots.REWARD),
-            "v": (3.3, 0.4, "shaping " + r"$V_\omega$", plots.RED),
-            "sac": (6.1, 1.4, "new policy\non DisabledAnt", plots.AGENT),
+            "obs": (2.35, 3.4, "CustomAnt\n111 numbers", plots.GREEN),
+            "pi": (0.8, 1.9, "policy " + r"$\pi$", plots.COPY),
+            "r": (2.35, 1.9, "reward " + r"$r_\psi$", plots.REWARD),
+            "v": (3.9, 1.9, "shaping " + r"$V_\omega$", plots.RED),
+            "sac": (2.35, 0.5, "new policy\non DisabledAnt", plots.AGENT),
         },
         [
             ("obs", "pi", "all"),
@@ -269,7 +269,7 @@ def what_each_sees():
 def ants(ends, of_experts):
     """Draw the returns of ants with two weak legs."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(6.4, 3.8))
+        _fig, ax = plt.subplots(figsize=(5.0, 3.9))
         for i, (name, end) in enumerate(ends.items()):
             color = plots.BLUE if "velocity" in name else plots.RED
             color = plots.GREY if "true" in name else color
