@@ -7,8 +7,7 @@ import numpy as np
 from IPython.display import HTML
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.image import AxesImage
 from numpy import ndarray as Array
 
 import plots
@@ -18,43 +17,34 @@ from offairl_lite import tabular
 from offairl_lite.tabular import MDP, soft_value_iteration
 
 ALPHA = 0.05
-# The colours of the toy of this chapter, on light pages.
 WALL = "#f2545b"
-TOY_MAP = LinearSegmentedColormap.from_list(
-    "toy",
-    ["#f6f3ff", "#dcf6ea", "#9ee8cb", "#45cda6", "#0aa587", "#00756a"],
-)
+FINE = 40
+"""Pixels along a square, which show the triangles in it."""
 GOAL = divmod(int(tabular.maze(CELLS, "Left").reward.argmax()), CELLS)[::-1]
 
 
-def _squares(ax: Axes, reward: Array) -> None:
-    """Paint a reward of the squares, or triangles of the moves from them.
-
-    They are paths, not an image: on a dark page they are turned, as the
-    toys are, and bright is high there.
-    """
+def _squares(ax: Axes, reward: Array) -> AxesImage:
+    """Paint a reward of squares, or triangles of the moves from them."""
     shade = (reward - reward.min()) / np.ptp(reward)
-    look = {"cmap": TOY_MAP, "edgecolors": "face", "lw": 0.2}
-    at = np.stack(np.divmod(np.arange(CELLS**2), CELLS)[::-1], 1)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
-    if reward.ndim == 1:
-        patches = at[:, None] + corners
-    else:  # right, up, left, down, and staying in the middle
-        pairs = [np.roll(corners, -k, 0)[:2] for k in (1, 2, 3, 0)]
-        moves = [np.vstack([pair, (0, 0)]) for pair in pairs]
-        patches = [at[:, None] + move for move in (*moves, corners / 2.5)]
-        patches = [patch for part in patches for patch in part]
-        shade = shade[:, [1, 2, 3, 4, 0]].T
-    cells = PolyCollection(patches, **look)
-    cells.set_array(np.ravel(shade))
-    ax.add_collection(cells)
+    if shade.ndim == 1:
+        pixels = shade.reshape(CELLS, CELLS)
+    else:  # staying in the middle; right, up, left and down around it
+        y, x = (np.indices((FINE, FINE)) + 0.5) / FINE - 0.5
+        wide = np.where(x > 0, 1, 3), np.where(y > 0, 2, 4)
+        move = np.where(abs(x) > abs(y), *wide)
+        move[np.maximum(abs(x), abs(y)) < 0.2] = 0
+        fine = shade.reshape(CELLS, CELLS, -1)[:, :, move]
+        pixels = fine.swapaxes(1, 2).reshape(CELLS * FINE, CELLS * FINE)
+    square = (-0.5, CELLS - 0.5)
+    look = {"cmap": plots.REWARD_MAP, "interpolation": "none"}
+    return ax.imshow(pixels, extent=square * 2, origin="lower", **look)
 
 
 def draw_world(
     ax: Axes, mdp: MDP, reward: Array, color: str, policy: Array
-) -> None:
+) -> AxesImage:
     """Draw walls, a reward and the policy's likely way, as the toy does."""
-    _squares(ax, reward)
+    image = _squares(ax, reward)
     p = dense(mdp).max(1)  # the likeliest action that leads there
     for low in range(CELLS * (CELLS - 1)):
         if p[low, low + CELLS] == 0:
@@ -70,6 +60,7 @@ def draw_world(
     ax.set(xticks=[], yticks=[], aspect="equal")
     ax.set(xlim=(-0.5, CELLS - 0.5), ylim=(-0.5, CELLS - 0.5))
     ax.grid(False)
+    return image
 
 
 def _way(mdp: MDP, policy, steps=50) -> Array:
@@ -86,20 +77,26 @@ def opening(
 ) -> None:
     """Draw the expert's films, and what is planned on learned rewards."""
     wet = tabular.maze(CELLS, "Left", slip=0.3).mdp
-    with plots.style():
-        _, axes = plt.subplots(2, 2, figsize=(5.4, 5.9))
-    films = {"film 1: the dry floor": shown, "film 2: the wet floor": wet}
+    with plots.style(), plt.rc_context({"font.size": 12}):
+        fig, axes = plt.subplots(2, 2, figsize=(5.4, 6.4))
+    films = {"film 1: dry floor": shown, "film 2: wet floor": wet}
     for ax, (name, mdp) in zip(axes[0], films.items(), strict=True):
         expert = soft_value_iteration(mdp, truth, ALPHA).policy
         draw_world(ax, mdp, truth, plots.EXPERT, expert)
         ax.set_title(name)
     slipped = np.random.default_rng(0).random(CELLS**2) < 0.3
     drops = np.divmod(np.flatnonzero(slipped), CELLS)[::-1]
-    axes[0, 1].plot(*drops, "o", color=plots.COPY, ms=5, alpha=0.7)
+    drop = {"mec": "white", "mew": 0.6, "ms": 6, "ls": ""}
+    axes[0, 1].plot(*drops, marker="o", color=plots.COPY, **drop)
     for ax, (name, r) in zip(axes[1], rewards.items(), strict=True):
         policy = soft_value_iteration(new, r, ALPHA).policy
-        draw_world(ax, new, r, plots.AGENT, policy)
-        ax.set_title(f"learned {name}")
+        image = draw_world(ax, new, r, plots.AGENT, policy)
+        ax.set_title(f"new maze, {name}")
+    axes[0, 0].set_ylabel("the expert, true reward")
+    axes[1, 0].set_ylabel("an agent, learned reward")
+    below = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.03}
+    bar = fig.colorbar(image, ax=axes, label="reward", aspect=25, **below)
+    bar.set_ticks([0, 1], labels=["low", "high"])
     plt.show()
 
 
@@ -125,50 +122,52 @@ def distances(
     bounds: Sequence[float],
     errors: Float[Array, "K N"],
 ) -> None:
-    """Draw σ of wet floors, and errors of r beside their bound."""
+    """Draw errors of r below their bound, with σ of each wet floor."""
     with plots.style():
-        _, axes = plt.subplots(1, 2, figsize=(5.4, 2.9))
-    axes[0].plot(slips, far, "o-", color=plots.BLUE)
-    axes[0].set(xlabel="commands that go astray", ylabel="distance σ")
-    axes[0].set_ylim(0)
-    axes[1].plot(slips, bounds, color=plots.GREY, label="bound, 1/σ")
-    axes[1].plot(slips, errors, ".", color=plots.ORANGE)
-    axes[1].plot([], [], ".", color=plots.ORANGE, label="five draws")
-    axes[1].set(xlabel="commands that go astray", yscale="log")
-    axes[1].set_ylabel("error of r / error of α log π")
-    axes[1].legend()
+        _, ax = plt.subplots(figsize=(5.4, 3.2))
+    ax.plot(slips, bounds, "o-", color=plots.GREY, ms=4)
+    for slip, sigma, bound in zip(slips, far, bounds, strict=True):
+        at = {"textcoords": "offset points", "xytext": (5, 4)}
+        ax.annotate(f"σ = {sigma:.2g}", (slip, bound), color="0.35", **at)
+    ax.plot(slips, errors, "o", color=plots.ORANGE, ms=4, alpha=0.7)
+    ax.text(0.43, 2, "five random errors each", color=plots.ORANGE)
+    ax.text(0.3, 40, "the bound: 1/σ", color="0.35")
+    ax.set(xlabel="commands that go astray on the wet floor (%)")
+    ax.set(yscale="log", ylabel="error of r, in errors\nof the films")
+    ax.set(xlim=(0, 1.12), xticks=[0.05, 0.2, 0.4, 0.7, 1])
+    ax.set_xticklabels(["5", "20", "40", "70", "100"])
+    ax.set_yticks([1, 10, 100], labels=["1×", "10×", "100×"])
     plt.show()
 
 
 def coverage(kept: Mapping[str, Array]) -> None:
     """Draw the score in the third maze by the steps seen."""
     with plots.style():
-        _, axes = plt.subplots(
-            2, 2, figsize=(5.4, 4.8), sharex=True, sharey=True
+        fig, axes = plt.subplots(
+            2, 2, figsize=(5.4, 5.0), sharex=True, sharey=True
         )
     experts = {
-        "careful, one start": "one start, hardly errs",
-        "sloppy, everywhere": "all starts, errs more",
+        "careful, one start": "one start",
+        "sloppy, everywhere": "all starts",
     }
     worlds = {"dry": plots.ORANGE, "dry and wet": plots.BLUE}
     for row, reward in zip(axes, ("r(s, a)", "r(s)"), strict=True):
-        row[0].set_ylabel(f"{reward}: score (%)")
-        for ax, expert in zip(row, experts, strict=True):
+        row[0].set_ylabel("score (%)")
+        for ax, (expert, title) in zip(row, experts.items(), strict=True):
+            ax.set_title(f"{reward}: {title}")
             for name, color in worlds.items():
                 values = 100 * kept[f"{expert}, {name}, {reward}"][..., 0]
                 ends = values.min(1), values.max(1)
                 band = {"color": color, "alpha": 0.15, "lw": 0}
                 ax.fill_between(kept["steps"], *ends, **band)
-                ax.plot(kept["steps"], np.median(values, 1), color=color)
+                middle = np.median(values, 1)
+                ax.plot(kept["steps"], middle, color=color, label=name)
             ax.set(xscale="log", ylim=(-30, 110))
-    for ax, title in zip(axes[0], experts.values(), strict=True):
-        ax.set_title(title)
     for ax in axes[1]:
         ax.set_xlabel("steps seen")
-    for y, (name, color) in enumerate(worlds.items()):
-        at = {"transform": axes[1, 1].transAxes, "ha": "right"}
-        place = (0.96, 0.18 - 0.12 * y)
-        axes[1, 1].text(*place, f"{name} floor", color=color, **at)
+    names = ["dry floor", "dry and wet floor"]
+    lines = axes[0, 0].get_lines()
+    fig.legend(lines, names, loc="outside upper center", ncols=2)
     plt.show()
 
 
@@ -226,8 +225,11 @@ def third(
     """Draw what new agents reach in third mazes, and with a third body."""
     with plots.style():
         _, axes = plt.subplots(
-            3, 1, figsize=(5.4, 7), height_ratios=(6, 4, 4)
+            3, 1, figsize=(5.4, 7.8), height_ratios=(6, 4, 4)
         )
+    titles = "the wall moves", "the wall is lower", "the body is new"
+    for ax, title in zip(axes, titles, strict=True):
+        ax.set_title(title, loc="left", fontweight="bold")
     rows = {
         "r(s), none": "r(s), Left alone",
         "r(s), turned": "r(s), + turned controls",
@@ -236,8 +238,8 @@ def third(
         "r(s, a), weak": "r(s, a), + weak motors",
     }
     for maze, color, side, label in (
-        ("moved", plots.ORANGE, -0.15, "wall moved"),
-        ("mirrored", plots.BLUE, 0.15, "moved and mirrored"),
+        ("moved", plots.GREEN, -0.15, "own controls"),
+        ("mirrored", plots.PURPLE, 0.15, "mirrored controls"),
     ):
         ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
         _strips(axes[0], ends, color, side, label)
@@ -245,8 +247,7 @@ def third(
     names = [*rows.values(), "true reward"]
     _name_strips(axes[0], names, "return in PointMazeRight")
     axes[0].set_xticks((-25, -20, -15, -10))
-    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1)}
-    axes[0].legend(handletextpad=0.1, ncols=2, **above)
+    axes[0].legend(handletextpad=0.1, loc="upper left")
     lower = {
         f"{form}, {name}": (f"{form}, {worlds}, low", color)
         for name, worlds, color in (
