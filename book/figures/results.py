@@ -74,15 +74,18 @@ NAMES = {
 """What the chapter calls the paper's claims."""
 
 SAYS = {
-    1: "of the four it is <code>r(s)</code>",
-    2: "off-policy AIRL does, on Hopper and Walker2d; on HalfCheetah and "
-    "Ant it is comparable",
-    3: "the transfer to two weak legs fails",
-    4: "some old policies find the new way, some do not",
-    5: "they improve imitation on HalfCheetah and Ant",
-    6: "training it alone, over old primitives, fails",
-    7: "with them the outcome varies less than with SAC",
-    8: "with them the outcome is better, and varies less",
+    1: "of four that may pay the agent, <code>r(s)</code> is the best.",
+    2: "off-policy AIRL does, on Hopper and Walker2d. On HalfCheetah and "
+    "Ant it is comparable.",
+    3: "the transfer to an ant with two weak legs fails.",
+    4: "it moves, and the reward stays. Some old policies find the new "
+    "way, some do not.",
+    5: "mixing several skills, the primitives, improves imitation on "
+    "HalfCheetah and Ant.",
+    6: "it mixes the old skills, the primitives. Training it alone fails.",
+    7: "with them the outcome varies less than with one policy (SAC).",
+    8: "if a guide takes the first steps, the outcome is better, and "
+    "varies less.",
 }
 """What each claims."""
 
@@ -147,26 +150,23 @@ def evidence(arrived, FOUND, recipe, step, larger):
 
 
 def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
-    """Return the table of claims, each with its verdict."""
+    """Return the claims, each with its verdict folded below it."""
 
-    def row(n):
+    def box(n):
         word = VERDICTS[n]
         color, sign = MARKS[word]
         verdict = f'<b style="color: {color}">{sign} {word}</b>'
-        claim = f"<b>{NAMES[n]}</b> ({n}): {SAYS[n]}"
-        cells = claim, f"{verdict}<br>{EVIDENCE[n]}"
-        return f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+        return (
+            f"<details><summary><b>{NAMES[n]}:</b> {SAYS[n]}</summary>"
+            f"<p>{verdict} (claim {n}): {EVIDENCE[n]}.</p></details>"
+        )
 
-    def heading(text):
-        return f'<tr><th colspan="2">{text}</th></tr>'
+    def group(title, claims):
+        return f"<p><b>{title}</b></p>{''.join(map(box, claims))}"
 
-    parts = [
-        heading("On the maze: paper-size networks, ten seeds"),
-        *map(row, MAZES),
-        heading("On robots, so far: short runs, three to five seeds"),
-        *map(row, ON_ROBOTS),
-    ]
-    return HTML(f'<table class="table">{"".join(parts)}</table>')
+    maze = group("On the maze, with runs of the paper's size", MAZES)
+    robots = group("On robots, with shorter runs so far", ON_ROBOTS)
+    return HTML(f'<div class="verdicts">{maze}{robots}</div>')
 
 
 def with_the_recipe(PAIRS, LABELS, of_demonstrations):
