@@ -104,6 +104,17 @@ def assign_section_numbers(
     return rewritten
 
 
+def assign_figure_numbers(
+    collector, env, assign=TocTreeCollectorWithStyles.assign_figure_numbers
+):
+    """Number figures in chapters only, where a number says which page."""
+    rewritten = assign(collector, env)
+    for page, kinds in env.toc_fignumbers.items():
+        if not env.titles[page].get("secnumber"):
+            kinds.pop("figure", None)
+    return rewritten
+
+
 def need_an_address(app, config):
     """Leave out the buttons for Colab and Binder while there is none."""
     if not config.html_theme_options.get("repository_url"):
@@ -115,6 +126,7 @@ def setup(app):
     TocTreeCollectorWithStyles.assign_section_numbers = (
         assign_section_numbers
     )
+    TocTreeCollectorWithStyles.assign_figure_numbers = assign_figure_numbers
     # Before the theme reads its options, which it does at this event.
     app.connect("config-inited", need_an_address, priority=100)
     app.connect("build-finished", make_offline)

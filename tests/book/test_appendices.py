@@ -13,6 +13,7 @@ from bs4 import BeautifulSoup
 from sphinx_external_toc.parsing import parse_toc_yaml
 
 import offairl_lite
+import rollouts
 from offairl_lite.ablations.released import RELEASE
 from offairl_lite.config import CORRECTED, RewardName, differences
 
@@ -129,3 +130,17 @@ def docstrings():
 )
 def test_docstrings_are_converted(docstrings, written, read):
     assert docstrings.converted(written) == read
+
+
+def test_a_killed_run_comes_out_as_the_one_that_was_left_alone():
+    """Five kills, six lives, each from a checkpoint before the kill, and every file is equal."""
+    kept, page = rollouts.read("killed"), (ROOT / "book/running_at_scale.md").read_text("utf-8")
+    assert kept["files"] == 17
+    assert kept["different"].size == 0
+    assert (kept["alone"] == kept["killed"]).all()
+    begins, ends = kept["lives"].T
+    assert len(ends) == 6
+    assert (begins[1:] < ends[:-1]).all()
+    assert ends[-1] == kept["steps"][-1]
+    assert "five times with `kill -9`" in page
+    assert "this run needed six" in page
