@@ -108,11 +108,13 @@ def assign_figure_numbers(
     collector, env, assign=TocTreeCollectorWithStyles.assign_figure_numbers
 ):
     """Number figures in chapters only, where a number says which page."""
-    rewritten = assign(collector, env)
+    before = dict(env.toc_fignumbers)
+    assign(collector, env)
     for page, kinds in env.toc_fignumbers.items():
         if not env.titles[page].get("secnumber"):
             kinds.pop("figure", None)
-    return rewritten
+    now = env.toc_fignumbers
+    return [page for page in now if now[page] != before.get(page)]
 
 
 def need_an_address(app, config):
