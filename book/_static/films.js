@@ -1,6 +1,18 @@
-// On paper a film is its last picture; for those who prefer no motion none starts by itself.
+// On paper a film is its last picture; for those who prefer no motion none starts by itself. Below
+// each there is room, so that the browser's controls cover no axis.
+const ROOM = 52; // pixels
+
+function leave_room(film) {
+  const {width, height, clientWidth} = film;
+  if (clientWidth) film.style.aspectRatio = `${width} / ${height + (ROOM * width) / clientWidth}`;
+}
+
 window.addEventListener("DOMContentLoaded", () => {
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const films = [...document.querySelectorAll("video[height]")];
+  const leave = () => films.forEach(leave_room);
+  leave();
+  window.addEventListener("resize", leave);
   for (const film of document.querySelectorAll("video")) {
     if (calm) {
       film.removeAttribute("autoplay");
