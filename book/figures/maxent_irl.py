@@ -240,6 +240,7 @@ def moved_wall(moved, right, value_of):
                 "zorder": 4,
             }
             way = likeliest_walk(right, policy).T
+            ax.lines[-1].set_zorder(5)  # the star, above the way
             ax.plot(*way, color=plots.AGENT, **look)
             value = value_of(policy, right)
             ax.set_title(f"{name}: {percent(value, worst, best)}")
