@@ -42,29 +42,29 @@ def soft_iteration(grid, values, iterates, errors):
     every = np.arange(14 * 14).reshape(14, 14)[::2, ::2].ravel()
     with plots.style():
         # Two columns, so that a phone can show the arrows.
-        fig, ((a, b), (c, rest)) = plt.subplots(2, 2, figsize=(4.8, 5.1))
-        axes = np.array([a, b, c])
-        for k, ax in zip((0, 1, 5), axes, strict=True):
+        fig, axes = plt.subplots(2, 2, figsize=(4.8, 5.9))
+        for k, ax in zip((0, 1, 2, 5), axes.flat, strict=True):
             image = plots.grid(ax, values[k], "Left")
             image.set_clim(-15, values.max())
             move = iterates[k].policy[every], grid.positions[every]
             plots.arrows(ax, *move).width = 0.011
-            error = f"{errors[k]:.1f}" if k < 5 else "below $10^{-9}$"
+            error = f"{errors[k]:.2g}" if k < 5 else "below $10^{-9}$"
             title = (
                 f"{k} improvement{'s' * (k != 1)}\nlargest error {error}"
             )
             ax.set_title(title)
         bare(axes)
-        rest.axis("off")
-        bar = {"cax": rest.inset_axes((0.2, 0.05, 0.1, 0.9))}
-        fig.colorbar(image, label="soft value", extend="min", **bar)
+        below = {"location": "bottom", "shrink": 0.7, "aspect": 25}
+        fig.colorbar(
+            image, ax=axes, label="soft value", extend="min", **below
+        )
         plt.show()
 
 
 def temperatures(solutions, grid):
     """Draw where policies of several temperatures go."""
     with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(4.8, 4.4))
+        fig, axes = plt.subplots(2, 2, figsize=(4.8, 5.5))
         for ax, alpha in zip(axes.flat, solutions, strict=True):
             visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
             share = visits.sum(1) / visits.sum()
@@ -72,7 +72,11 @@ def temperatures(solutions, grid):
             image.set_clim(-4, -1)
             ax.set_title(f"α = {alpha}")
         bare(axes)
-        fig.colorbar(image, ax=axes, shrink=0.75, label="log₁₀ of share")
+        below = {"location": "bottom", "shrink": 0.7, "aspect": 25}
+        bar = fig.colorbar(image, ax=axes, label="share of time", **below)
+        bar.set_ticks(
+            [-4, -3, -2, -1], labels=["0.01 %", "0.1 %", "1 %", "10 %"]
+        )
         plt.show()
 
 
@@ -153,8 +157,9 @@ def swing_up(sac, pendulum, act):
     # Gymnasium's pendulum comes to rest at the top if ω² = 30 (1 - cos θ).
     enough = np.sqrt(30 * (1 + np.cos(np.radians(x[0]))))
 
-    with plots.style(), plt.rc_context({"font.size": 13}):
-        size = {"figsize": (7.2, 4.0), "dpi": 120, "width_ratios": (1, 1.9)}
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        # Few inches, so that a phone can show the text.
+        size = {"figsize": (6.0, 4.0), "dpi": 120, "width_ratios": (1, 2)}
         fig, (left, right) = plt.subplots(1, 2, **size)
         left.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
         left.set_title("the pendulum")
