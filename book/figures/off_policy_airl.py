@@ -198,15 +198,17 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
     """Draw returns, the learned reward and last paths."""
     with plots.style():
         fig, axes = plt.subplots(
-            2, 1, figsize=(4.8, 6.0), height_ratios=(4, 6)
+            2, 1, figsize=(4.8, 6.9), height_ratios=(3, 6)
         )
         steps, values = np.transpose(curve)
         axes[0].plot(steps / 1_000, values, "o-", color=plots.COPY, ms=3)
         _levels(axes[0], expert.returns.mean())
-        axes[0].set(xlabel="thousand environment steps", title="score")
+        axes[0].set(xlabel="thousand steps", ylabel="score")
         image = _reward_map(axes[1], "Left", airl, scale)
         _draw_paths(axes[1], paths, plots.COPY)
-        fig.colorbar(image, ax=axes[1], shrink=0.8, label=r"$r_\psi(s)$")
+        below = {"location": "bottom", "shrink": 0.6, "aspect": 25}
+        label = r"learned reward $r_\psi(s)$"
+        fig.colorbar(image, ax=axes[1], label=label, **below)
         plt.show()
 
 
@@ -231,7 +233,8 @@ def wall_moved(old_return, stuck, new, airl, scale):
             _draw_paths(ax, walks, color)
             ax.set_title(title)
         below = {"location": "bottom", "shrink": 0.6, "aspect": 25}
-        fig.colorbar(image, ax=axes, label=r"$r_\psi(s)$", **below)
+        label = r"learned reward $r_\psi(s)$"
+        fig.colorbar(image, ax=axes, label=label, **below)
         plt.show()
 
 
@@ -277,6 +280,9 @@ def behind_the_star(imitation, released, line, kept):
             ax.axvline(GOAL[1], color=plots.GREY, ls=":", lw=1.2)
             ax.set_xlim(0.4, 0.56)
             ax.set_xticks((0.4, 0.45, 0.5, 0.55))
+        places = axes[0].secondary_xaxis("top")
+        places.set_xticks((GOAL[1], 0.55), ("the star", "the wall"))
+        places.tick_params(length=0)
         for ax, x, y, text, color in (
             (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
             (axes[0], 0.555, -0.8, "log-ratio loss", plots.ORANGE),
@@ -284,9 +290,9 @@ def behind_the_star(imitation, released, line, kept):
             (axes[1], 0.558, -13, "own\nactions", plots.COPY),
         ):
             ax.text(x, y, text, color=color, ha="right")
-        axes[0].set(ylabel=r"$r_\psi(s)$, peak at 0")
+        axes[0].set(ylabel=r"learned reward, peak at 0")
         axes[1].set(ylabel=r"the policy's $\log\ \pi$", ylim=(-75, 4))
-        axes[1].set_xlabel("height y on the line through the star (m)")
+        axes[1].set_xlabel("y on the line through star and wall (m)")
         plt.show()
 
 
