@@ -107,7 +107,7 @@ def judged_pushes(demos):
         artists = []
         for i, name in enumerate(actors):
             ax = inches(2.4 * i + 0.05, 3.1, 2.3, 2.3)
-            square = inches(2.4 * i + 0.6, 1.4, 1.4, 1.4)
+            square = inches(2.4 * i + 0.7, 1.4, 1.4, 1.4)
             plots.maze(ax, "Left")
             ax.axis("off")
             ax.set_title(name, fontsize=16)
@@ -374,7 +374,7 @@ def dac_training(NUM_ROUNDS, history, extent):
     """Draw paths and verdicts during the training."""
     shown = [0, 4, 9, NUM_ROUNDS - 1]
     with plots.style(), plt.rc_context({"font.size": 15}):
-        fig, axes = plt.subplots(2, 2, figsize=(6.8, 6.2))
+        fig, axes = plt.subplots(2, 2, figsize=(6.2, 7.4))
         for ax, k in zip(axes.flat, shown, strict=True):
             path, verdict = history[k]
             look = {"cmap": VERDICT, "vmin": 0, "vmax": 1, "zorder": 1}
@@ -388,7 +388,9 @@ def dac_training(NUM_ROUNDS, history, extent):
             ax.axis("off")
             reached = percent(path.reward.sum().item())
             ax.set_title(f"{100 * (k + 1):,} updates: {reached}")
-        bar = fig.colorbar(image, ax=axes, shrink=0.65, label="D")
+        below = {"location": "bottom", "shrink": 0.6, "aspect": 25}
+        label = "D: would the expert do this there?"
+        bar = fig.colorbar(image, ax=axes, label=label, **below)
         bar.set_ticks([0, 0.5, 1], labels=["0", "½", "1"])
         plt.show()
 
