@@ -173,9 +173,11 @@ def mazes(demonstrated):
     """Draw both mazes, and demonstrations in the first."""
     with plots.style():
         _fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.7), sharey=True)
-        for ax, side in zip(axes, ("Left", "Right"), strict=True):
+        for ax, side, when in zip(
+            axes, ("Left", "Right"), ("first", "later"), strict=True
+        ):
             plots.maze(ax, side)
-            ax.set_title(f"PointMaze{side}")
+            ax.set_title(f"{when}: PointMaze{side}")
         axes[1].set_ylabel("")
         axes[0].plot(
             *demonstrated[:10].T, color=plots.EXPERT, alpha=0.7, lw=1
@@ -244,8 +246,18 @@ def five_seeds(imitation, expert, transfer, target):
         fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.6))
         fig.get_layout_engine().set(h_pad=0.1)
         curves = (
-            (imitation, plots.COPY, "imitation", expert.returns.mean()),
-            (transfer, plots.AGENT, "transfer", target),
+            (
+                imitation,
+                plots.COPY,
+                "imitation, in the first maze",
+                expert.returns.mean(),
+            ),
+            (
+                transfer,
+                plots.AGENT,
+                "transfer, with the wall moved",
+                target,
+            ),
         )
         for ax, (run, color, title, value) in zip(
             axes, curves, strict=True
