@@ -75,7 +75,7 @@ def moving_wall(imitation, demonstrated, kept):
 
     with plots.style():
         fig = plt.figure(figsize=(7.2, 4.8), dpi=100, layout="none")
-        ax = fig.add_axes((0.005, 0.005, 0.66, 0.99))
+        ax = fig.add_axes((0.005, 0.005, 0.625, 0.99))
         image = plots.reward_map(ax, imitation.reward, "Left")
         image.set_alpha(0)
         ax.axis("off")
@@ -95,7 +95,7 @@ def moving_wall(imitation, demonstrated, kept):
             dot.set(zorder=5, markeredgewidth=2)
             trails[name] = line, dot
         told = {
-            name: fig.text(0.68, 0.93 - 0.16 * i, text, size=14, va="top")
+            name: fig.text(0.64, 0.95 - 0.16 * i, text, size=16, va="top")
             for i, (name, (_, text)) in enumerate(STORY.items())
             if text
         }
