@@ -153,9 +153,9 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
     assert f"{said}, with ten to {ten:.0f}, with four to {four:.0f}." in text
     readme = " ".join((ROOT / "README.md").read_text().split())
     assert "on average over five robots?" in readme
-    said = f"| {ten:.0f} %, with twenty {twenty:.0f}, with fifty {fifty:.0f};"
-    recipe = benchmark_runs.average(cells, "50", "airl")
-    assert f"| ten or more | cloning {said} the recipe with fifty {recipe:.0f} |" in readme
+    recipe, dac = (benchmark_runs.average(cells, "50", method) for method in ("airl", "dac"))
+    assert f"| ten | {ten:.0f} | – | – | cloning |" in readme
+    assert f"| fifty | {fifty:.0f} | {recipe:.0f} | {dac:.0f} | cloning |" in readme
     assert "The recipe trains for 100,000 steps." in readme
     assert "| | clone, 256-256 | clone, 64-64 | the run from it | recipe alone |" in PAGE
     small = benchmark_runs.clones_beside("4-small")
@@ -189,15 +189,16 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
         return [f"{benchmark_runs.average(cells, block, method):.0f}" for method in methods]
 
     warm, clone, recipe, dac = averages("4", "airl-warm", "clone", "airl", "dac")
-    said = "| cloning; if that is not good enough, the recipe begun from the clone | "
-    assert f"{said}{clone} %; from the clone {warm}, recipe {recipe}, DAC {dac} |" in text
-    of_one, other, cloned = averages("1", "airl", "dac", "clone")
-    assert of_one == other
-    assert f"| one | the recipe or DAC | {of_one} %; cloning {cloned} |" in text
+    take = f"cloning; if that is not good enough, the recipe begun from the clone: {warm} |"
+    assert f"| four | {clone} | {recipe} | {dac} | {take}" in text
+    one = " | ".join(averages("1", "clone", "airl", "dac"))
+    assert f"| one | {one} | the recipe or DAC |" in text
     (states,) = averages("4", "state-dac")
     assert f"It comes to {states} % on average, and is clearly ahead of the recipe on" in text
     cold = [benchmark_runs.summary(ends).mean for ends in benchmark_runs.iq_learn_cold().values()]
-    assert f"at its authors' default, 0.01, IQ-Learn comes to {np.mean(cold):.0f} % on" in text
+    (warmer,) = averages("4", "iq-learn")
+    said = f"*IQ-Learn at 0.01* comes to {np.mean(cold):.0f} % on average"
+    assert f"{said}, IQ-Learn at 0.2 to {warmer}." in text
 
 
 def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
