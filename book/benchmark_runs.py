@@ -204,8 +204,8 @@ def filled(cells: Cells) -> str:
     """Say how many cells there are, of how many."""
     wanted, there = planned(), set(cells)
     text = (
-        f"{len(wanted & there)} of {len(wanted)} cells of the tables below "
-        "are filled."
+        f"{len(wanted & there)} of {len(wanted)} cells of the tables are "
+        "filled."
     )
     if wanted - there:
         text += " The rest have not been run yet."
@@ -593,27 +593,29 @@ SIGNS = {
 
 
 def show_duels(found: Iterable[Duel]) -> HTML:
-    """Return duels as a table: two rows each, below their block's title."""
-    width, lines, title = len(ROBOTS), [], None
+    """Return duels as a table, below the titles of their blocks.
+
+    Names of robots stand upright, so that it fits on a telephone.
+    """
+    upright = 'style="writing-mode: vertical-rl; transform: rotate(180deg)"'
+    names = "".join(f"<th><span {upright}>{r}</span></th>" for r in ROBOTS)
+    lines, title = [f"<tr><th></th>{names}<th>average lead</th></tr>"], None
     for duel in found:
         if duel.block != title:
             title = duel.block
-            lines.append(_title(BLOCKS[title], width, "th"))
-            lines.append(_row(_heads(ROBOTS), "th"))
-        pair = f"<b>{METHODS[duel.one]}</b>, against {METHODS[duel.other]}"
+            lines.append(_title(BLOCKS[title], len(ROBOTS) + 2, "th"))
+        one, other = METHODS[duel.one], METHODS[duel.other]
         marks = [SIGNS.get(duel.signs.get(robot), "–") for robot in ROBOTS]
-        lines += [_title(pair + _lead(duel), width), _row(marks)]
+        average = "–"
+        if duel.lead:
+            mean, low, high = map(number, duel.lead)
+            average = (
+                f"<b>{mean}</b> {_small(f'({low}&nbsp;to&nbsp;{high})')}"
+            )
+        pair = f"<b>{one}</b>, against {other}"
+        row = "".join(f"<td>{x}</td>" for x in (pair, *marks, average))
+        lines.append(f"<tr>{row}</tr>")
     return HTML(f'<table class="table">{"".join(lines)}</table>')
-
-
-def _lead(duel: Duel) -> str:
-    """Return the lead of a duel in words, if it has one."""
-    if duel.lead is None:
-        return ""
-    mean, low, high = duel.lead
-    word = "ahead" if mean > 0 else "behind"
-    interval = f"{number(low)} to {number(high)}"
-    return f": {abs(mean):.0f} {word} ({interval})"
 
 
 def show_theirs() -> HTML:

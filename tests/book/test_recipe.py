@@ -213,7 +213,7 @@ def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
     some = {("4", "Hopper", "airl"): cell(80.0), ("4", "Hopper", "clone"): cell(50.0)}
     assert bench.duels(some) == [bench.Duel("4", "airl", "clone", {"Hopper": 1}, None)]
     shown = bench.show_duels(bench.duels(some)).data
-    assert (shown.count("▲"), shown.count("▼"), shown.count("–")) == (1, 0, 4)
+    assert (shown.count("▲"), shown.count("▼"), shown.count("–")) == (1, 0, 5)
     table = bench.block_table(some, "4")
     assert table.count("–") == 8
     assert "Not run yet: DAC, state-only DAC, SQIL, IQ-Learn, the recipe from a clone" in table
@@ -226,7 +226,7 @@ def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
     assert behind.lead[0] == -20
     shown = bench.show_duels(bench.duels(full)).data
     assert shown.count("▼") == 5 * sum(other == "clone" for *_, other in bench.DUELS)
-    assert ": 20 behind (−2" in shown
+    assert "<b>−20</b>" in shown
     assert "Not run yet" not in bench.block_table(full, "4")
 
 
