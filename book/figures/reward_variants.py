@@ -278,9 +278,12 @@ def crossed(WORDS, counted):
 
     def cell(*forms):
         "How many of the seeds of both rewards in f arrive."
-        return "<br>".join(
-            f"<i>{WORDS[form]}</i>: {sum(arrived[form])}" for form in forms
-        )
+        return "<br>".join(map(split, forms))
+
+    def split(form):
+        both, total = arrived[form], f"{sum(arrived[form])}"
+        parts = " ({} + {})".format(*both) if any(both) else ""
+        return f"<i>{WORDS[form]}</i>: {total}{parts}"
 
     arrived = {
         form: [int(count.removesuffix(" of 5")) for count in counts]
