@@ -305,43 +305,44 @@ def _tables(*parts, folded=False):
     return HTML("".join(texts))
 
 
-def starts_and_helps(counts):
-    """Return two tables of how many seeds arrive: by steps and by guide."""
+def _dots(counts, size_of, end_of, arm):
+    of = {SMALL: 5, LARGE: 10}[size_of]
+    return _seeds(int(counts[size_of][end_of][arm]), of)
+
+
+def starts(counts):
+    """Return the table of how many seeds arrive, by start and warm-up."""
     names = "scratch", "old policy", "gate and primitives", "gate alone"
+    rows = []
+    for arm, name in enumerate(names):
+        fresh = "" if arm else "-fresh"
+        ends = fresh, "-helped"
+        rows.append((name, *(_dots(counts, SMALL, e, arm) for e in ends)))
+    heads = ("start", "100 fresh steps<br>(scratch: 3,000)", "3,000 held")
+    return _tables(
+        (
+            "After held steps all arrive but the gate alone.",
+            table(heads, rows),
+        )
+    )
 
-    def dots(size_of, end_of, arm):
-        count = counts[size_of][end_of][arm]
-        of = {SMALL: 5, LARGE: 10}[size_of]
-        return _seeds(int(count), of) if count else "not run"
 
-    warm_ups = ("", "-fresh", "-helped")
-    steps = [
-        (name, *(dots(SMALL, end_of, arm) for end_of in warm_ups))
-        for arm, name in enumerate(names)
-    ]
-    large = [dots(LARGE, end_of, 0) for end_of in warm_ups]
-    steps.append(("scratch, the paper’s<br>networks", *large))
-    guides = [
-        (name, *(dots(LARGE, end_of, arm) for arm in (1, 2, 3)))
+def guides(counts):
+    """Return the table of how many seeds arrive, by guide and start."""
+    rows = [
+        (name, *(_dots(counts, LARGE, end_of, arm) for arm in (1, 2, 3)))
         for name, end_of in (
             ("no guide", ""),
             ("the imitator", "-own-starts"),
             ("an expert of<br>the new maze", "-expert-starts"),
         )
     ]
-    columns = ("short<br>fresh", "long<br>fresh", "long<br>held")
     heads = ("old<br>policy", "gate and<br>primitives", "gate<br>alone")
     return _tables(
         (
-            "Which random steps? After long held ones all arrive but the "
-            "gate alone.",
-            table(["start", *columns], steps),
-        ),
-        (
-            "Which guide? After short fresh steps an expert guides best "
-            "(the paper’s networks).",
-            table(["guide", *heads], guides),
-        ),
+            "An expert of the new maze is the best guide.",
+            table(["guide", *heads], rows),
+        )
     )
 
 
@@ -379,9 +380,7 @@ KINDS = {
 }
 
 
-RANKED_ABOVE = (
-    "failures that<br>the reward<br>ranks above the<br>demonstrations"
-)
+CAUGHT = "failures<br>that the test<br>catches"
 
 
 def where_rewards_lead(found, blamed, backwards):
@@ -415,7 +414,7 @@ def where_rewards_lead(found, blamed, backwards):
     return _tables(
         (
             "After held steps: the reward decides.",
-            table([*heads, RANKED_ABOVE], held),
+            table([*heads, CAUGHT], held),
         ),
         (
             "After fresh steps hardly any arrive, even on the true reward.",
