@@ -144,6 +144,16 @@ def test_a_transfer_works_if_more_seeds_arrive_than_before_it(told):
     assert told("arrives", ending(first=8)) == ("the opposite", CONTRADICTED)
 
 
+def test_no_number_of_arrivals_contradicts_the_claim_about_the_wall(told):
+    """If nobody has arrived before: six to nine of ten confirm it, the others do in part or not."""
+    assert [each.question for each in CLAIMS[4].comparisons] == ["arrives", "varies"]
+    verdicts = [
+        joined([told(question, ending(*range(n)))[1] for question in ("arrives", "varies")])
+        for n in range(11)
+    ]
+    assert verdicts == [UNDECIDED] + [IN_PART] * 5 + [CONFIRMED] * 4 + [IN_PART]
+
+
 def test_a_transfer_varies_if_some_seeds_arrive_and_some_do_not(told):
     assert told("varies", ending(1))[0] == "as claimed"
     assert told("varies", ending())[0] == told("varies", ending(*range(10)))[0] == "unclear"
