@@ -27,7 +27,8 @@ MODULES = [
 TABLES = {
     page: (ROOT / f"book/{page}.md").read_text() for page in ("notation", "from_paper_to_code")
 }
-NAMED = {page: set(re.findall(r"\{py:\w+\}`~?([\w.]+)`", text)) for page, text in TABLES.items()}
+NAME = r"\{py:\w+\}`(?:[^`<]+<|~?)([\w.]+)>?`"
+NAMED = {page: set(re.findall(NAME, text)) for page, text in TABLES.items()}
 
 
 def found(name):
