@@ -8,8 +8,8 @@ from offairl_lite.analysis.statistics import difference
 from robot_runs import WARMUPS, demonstrated
 
 RECIPE, DAC = "recipe, r(s)", "DAC, α = 1"
-EXACT, OF_ACTION = "exact logit, α = 1, r(s)", "exact logit, α = 1, r(s, a)"
-MIXTURE, COLD = "mixture, α = 0.2, r(s)", "exact logit, α = 0.2, r(s)"
+EXACT, OF_ACTION = "AIRL loss, α = 1, r(s)", "AIRL loss, α = 1, r(s, a)"
+MIXTURE, COLD = "mixture, α = 0.2, r(s)", "AIRL loss, α = 0.2, r(s)"
 HURT = (
     *(f"mixture-{x}-short" for x in ("fixed", "learned", "one")),
     *(f"mixture-{x}-long" for x in ("fixed", "learned", "one")),
@@ -51,7 +51,7 @@ def the_mean_shows_it():
 
 @recorded
 def nine_settings_lose_most(costs):
-    """The mixture loses 25 to 52 points, and at 1 the exact logit and DAC
+    """The mixture loses 25 to 52 points, and at 1 the AIRL loss and DAC
     lose 31 to 58, all clearly."""
     hurt = {kind: costs[kind] for kind in HURT if kind in costs}
     assert (len(costs), len(hurt)) == (16, 9)
@@ -87,7 +87,7 @@ def five_settings_lose_less(costs, percent, upright):
 
 @recorded
 def it_ruins_the_exact_logit(returns):
-    """With all fifty nine of ten seeds of the exact logit at 1 reach 46 %
+    """With all fifty nine of ten seeds of the AIRL loss at 1 reach 46 %
     and fall back, seven below 24 %, the others to 37 and 56 %."""
     both = [returns[f"{x}, fifty"] for x in (EXACT, OF_ACTION)]
     best = np.concatenate([found.max(1) for found in both])
@@ -152,7 +152,7 @@ def the_recipe_walks_all_the_same(returns):
 @recorded
 def the_recipe_is_ahead(returns):
     """On the 49 the recipe is ahead of the mixture by 32 points (1 to 42),
-    and of the exact logit at 0.2 by 83 (52 to 93)."""
+    and of the AIRL loss at 0.2 by 83 (52 to 93)."""
     for other, ahead in (MIXTURE, [32, 1, 42]), (COLD, [83, 52, 93]):
         pair = (_ends(returns, x, "49") for x in (RECIPE, other))
         assert [round(x) for x in difference(*pair)] == ahead
@@ -160,7 +160,7 @@ def the_recipe_is_ahead(returns):
 
 @recorded
 def at_0_2_the_exact_logit_fails_anyway(returns):
-    """At 0.2 the exact logit ends below 23 % with and without the fallen
+    """At 0.2 the AIRL loss ends below 23 % with and without the fallen
     ant, but for one seed at 44 %."""
     ends = [_ends(returns, COLD, x) for x in ("49", "fifty")]
     *_, second, best = np.sort(np.concatenate(ends))
@@ -171,7 +171,7 @@ def at_0_2_the_exact_logit_fails_anyway(returns):
 @recorded
 def the_logit_may_be_involved(logits):
     """With all fifty the mean logit is above 10 in 10 of 100 evaluations of
-    the exact logit at 1, and without the fallen ant in none."""
+    the AIRL loss at 1, and without the fallen ant in none."""
     fifty, cured = (
         np.concatenate([logits[f"{x}, {n}"] for x in (EXACT, OF_ACTION)])
         for n in ("fifty", "49")

@@ -48,7 +48,7 @@ def a_short_one_helps_robots_that_fall(pairs, verdicts):
 
 @recorded
 def only_two_losses_suffer(pairs, verdicts):
-    """With the mixture and the exact logit nothing is clear for a short
+    """With the mixture and the AIRL loss nothing is clear for a short
     warm-up."""
     for found in pairs.values():
         assert verdicts(found[6:], 0)[0] == 0
@@ -103,6 +103,21 @@ def the_long_warmup_costs(warm):
     assert _gain(warm, SHORT, LONG, over="last") == [51, 38, 58]
     for over in ("last", "last four"):
         assert _gain(warm, SHORT, LONG, "Hopper", over)[1] > 0
+
+
+@recorded
+def what_the_figure_shows(means):
+    """In the last four Walker2d comes to 51 % after 1,000 random steps and
+    to 43 with a small replay; after 10,000 to 12, 15 with a small replay,
+    21 without the early updates, and 36 with both cures."""
+    assert [round(mean) for mean in means.values()] == [
+        51,
+        43,
+        12,
+        15,
+        21,
+        36,
+    ]
 
 
 @recorded
