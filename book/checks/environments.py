@@ -23,6 +23,16 @@ def sizes_of_the_ants(sizes, models):
     assert len(models["offairl/CustomAnt-v0"].body_mass) == 14
 
 
+@exact
+def velocities_are_clipped(bounds):
+    """Hopper's and Walker2d's velocities are clipped to ±10, and those of
+    no other task."""
+    clipped = {
+        name: size for name, size in bounds.items() if 0 < size < 1e3
+    }
+    assert clipped == {"Hopper": 10, "Walker2d": 10}
+
+
 @live
 def the_maze_shows_the_position():
     """An observation of the maze contains the particle's position, and at
