@@ -16,7 +16,7 @@ UNITS = {"as it was": (1, plots.BLUE), "in tenths": (10, plots.RED)}
 
 with plots.style():
     plt.rcParams["svg.hashsalt"] = "tenths"
-    fig, axes = plt.subplots(1, 2, figsize=(5.4, 2.5), sharey=True)
+    fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.4), sharey=True)
     for ax, (title, (unit, color)) in zip(axes, UNITS.items(), strict=True):
         x = np.linspace(-unit, unit, 401)
         bell = np.exp(-((x / unit - MEAN) ** 2) / (2 * WIDTH**2))
