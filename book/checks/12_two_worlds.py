@@ -31,6 +31,15 @@ def what_two_films_hide(count_hidden, dry, wet, moved):
 
 
 @exact
+def how_far_dry_and_wet_are(dry, wet):
+    """The distance of the dry and the wet floor is 0.07, which bounds the
+    growth of errors by 14."""
+    distance = separation([dry.mdp, wet.mdp]).distance
+    assert round(distance, 2) == 0.07
+    assert round(1 / distance) == 14
+
+
+@exact
 def which_films_identify(rows, correlations):
     """Water, turned controls and haste identify the reward; the moved wall,
     mirrored controls and two walls under water do not."""
