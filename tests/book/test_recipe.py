@@ -199,6 +199,17 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     (warmer,) = averages("4", "iq-learn")
     said = f"*IQ-Learn at 0.01* comes to {np.mean(cold):.0f} % on average"
     assert f"{said}, IQ-Learn at 0.2 to {warmer}." in text
+    thinned = [
+        [
+            benchmark_runs.number(
+                benchmark_runs.summary(cells["4-thinned", robot, method].ends).mean
+            )
+            for robot in ("Hopper", "Walker2d", "HalfCheetah")
+        ]
+        for method in ("clone", "airl")
+    ]
+    cloned, learned = (f"{one}, {two} and {three}" for one, two, three in thinned)
+    assert f"cloning comes to {cloned} %, the recipe to {learned}." in text
 
 
 def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
