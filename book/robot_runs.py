@@ -144,3 +144,63 @@ def draw_rows(
     axes[0].set_yticks(range(len(rows)), list(rows))
     fig.supxlabel("% of the demonstrations' mean return", fontsize="medium")
     return fig, axes
+
+
+COSTS = {
+    **{f"{robot}: what decides": f"{GRID}/{robot}-*" for robot in ROBOTS},
+    "the recipe, 500,000 steps": "locomotion-demo/*-airl",
+    "DAC with SAC, 500,000 steps": "locomotion-demo/*-dac",
+    "DAC with TD3, 500,000 steps": "locomotion-demo/*-td3",
+    "4 and 8 primitives": "locomotion-demo/*-mcp-*",
+    "the paper's networks": "locomotion-full/*",
+    "networks of 256-256": "decides-wide-demo/*",
+    "HalfCheetah, a million steps": "locomotion-long-demo/*",
+    "Walker2d, ten more seeds": "locomotion-again-demo/*",
+    "a stronger expert of the Ant": "locomotion-strong-demo/*",
+    "experts, 650,000 steps and more": "experts-long/*",
+    "small experts, a million steps": "experts-small/*",
+    "AIRL loss, temperature 1.2": "decides-1.2-demo/*",
+    "temperature 1, penalty 0.1": "decides-steeper-demo/*",
+    "penalties of 0.1 and 1": "decides-penalty-*demo/*",
+    "a logit f/α − log π": "decides-scaled-*demo/*",
+    "shorter blocks": "decides-blocks-demo/*",
+    "a replay of 10,000 steps": "decides-forget-demo/*",
+    "no updates for the warm-up": "decides-skip-demo/*",
+    "neither, and a short replay": "decides-both-demo/*",
+    "the warm-up, five more seeds": "*decides*-more-demo/*-released-*",
+    "demonstrations without noise": "decides-mode-demo/*",
+    "four demonstrations": "decides-four-*demo/*",
+    "CustomAnt, four rewards": "decides-ant-rewards-demo/*/*",
+    "CustomAnt, no ant falls": "decides-upright-demo/*/*",
+    "the same on a GPU": "decides-gpu-demo/*",
+    "transfer to DisabledAnt": "decides-transfer-demo/*/*",
+    "the marsh": "decides-marsh-demo/*/*",
+}
+"""Recorded runs, by what they are about."""
+
+
+def costs() -> dict[str, tuple[int, float]]:
+    """Return how many runs of each kind there are, and their hours."""
+    found = {}
+    for what, pattern in COSTS.items():
+        seconds = [
+            records.read_json(path)["wall_s"]
+            for path in RECORDS.glob(f"{pattern}/run.json")
+        ]
+        found[what] = len(seconds), sum(seconds) / 3600
+    return found
+
+
+def draw_costs(found: Mapping[str, tuple[int, float]]) -> Figure:
+    """Draw the hours of each kind of run, the costliest first."""
+    order = sorted(found, key=lambda what: found[what][1])
+    hours = [found[what][1] for what in order]
+    fig, ax = plt.subplots(figsize=(5.4, 0.22 * len(order) + 0.6))
+    bars = ax.barh(order, hours, color=plots.BLUE, height=0.7)
+    counts = [f"{found[what][0]} runs" for what in order]
+    counts = ["1 run" if text == "1 runs" else text for text in counts]
+    ax.bar_label(bars, counts, padding=3, fontsize=8)
+    ax.set(xlabel="hours", xlim=(0, 1.15 * max(hours)))
+    ax.set_ylim(-0.6, len(order) - 0.4)
+    ax.grid(visible=False, axis="y")
+    return fig

@@ -1,24 +1,43 @@
 """What the note on the cost of the runs says."""
 
 from checks import recorded
-from robot_runs import LOSSES, ROBOTS, VARIANTS
+from offairl_lite.runs import records
+from robot_runs import RECORDS
 
 
 @recorded
-def the_grid_is_planned(PLAN):
-    """The rows of the four robots and four losses are the whole grid."""
-    rows = PLAN[: len(ROBOTS) * len(LOSSES)]
-    assert sum(runs for _, _, runs, _ in rows) == len(VARIANTS)
+def all_runs(found):
+    """There are 232 runs, which took 91 hours, most of them of five
+    seeds."""
+    counts, hours = zip(*found.values(), strict=True)
+    assert sum(counts) == 232
+    assert round(sum(hours)) == 91
+    seeds = [
+        len(records.read(path.parent).seeds)
+        for path in RECORDS.glob("what-decides-demo/*/run.json")
+    ]
+    assert set(seeds) == {5}
 
 
 @recorded
-def no_more_than_planned(rows):
-    """No row has more runs than it plans."""
-    assert all(to_run >= 0 for _, to_run, *_ in rows)
+def dearest_and_cheapest(found):
+    """The paper's networks took 10 hours for six runs, more than any other
+    row; the marsh took 17 minutes."""
+    count, hours = found["the paper's networks"]
+    assert (count, round(hours)) == (6, 10)
+    assert hours == max(hours for _, hours in found.values())
+    assert round(60 * found["the marsh"][1]) == 17
 
 
 @recorded
-def nothing_is_left(totals):
-    """Nothing of the plan is left."""
-    to_run, running, _, _, hours_left = totals
-    assert to_run == running == hours_left == 0
+def small_runs(found):
+    """A run of the grid took 11 minutes on Hopper, 13 on Walker2d, 16 on
+    CustomAnt and 20 on HalfCheetah, and there are 24 of each."""
+    for robot, minutes in (
+        ("Hopper", 11),
+        ("Walker2d", 13),
+        ("CustomAnt", 16),
+        ("HalfCheetah", 20),
+    ):
+        count, hours = found[f"{robot}: what decides"]
+        assert (count, round(60 * hours / count)) == (24, minutes)

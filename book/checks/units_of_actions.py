@@ -111,6 +111,8 @@ def wrapper(k, lifetime):
     α = 1."""
     assert math.isclose(k, math.log(1e-3))
     assert round(k, 1) == -6.9
+    assert round(0.2 * -k, 1) == 1.4
+    assert round(0.05 * -k, 2) == 0.35
     assert round(lifetime[0.05]) == 656
     assert lifetime[1.0] == 0
 
