@@ -315,10 +315,10 @@ def starts(counts):
     names = "scratch", "old policy", "gate and primitives", "gate alone"
     rows = []
     for arm, name in enumerate(names):
-        fresh = "" if arm else "-fresh"
-        ends = fresh, "-helped"
-        rows.append((name, *(_dots(counts, SMALL, e, arm) for e in ends)))
-    heads = ("start", "100 fresh steps<br>(scratch: 3,000)", "3,000 held")
+        end, steps = ("", "100") if arm else ("-fresh", "3,000")
+        fresh = f"{_dots(counts, SMALL, end, arm)} ({steps})"
+        rows.append((name, fresh, _dots(counts, SMALL, "-helped", arm)))
+    heads = ("start", "fresh steps<br>(how many)", "3,000 held steps")
     return _tables(
         (
             "After held steps all arrive but the gate alone.",
