@@ -277,7 +277,9 @@ def gate_and_primitives(parts, policy, weight, x, y):
         arrows(axes["p"], torch.tanh(product[0]).numpy(), plots.BLUE)
         axes["p"].set_title("their product")
         below = {"location": "bottom", "shrink": 0.6, "extend": "max"}
-        fig.colorbar(image, ax=maps, label="weight of primitives 1 to 4", **below)
+        fig.colorbar(
+            image, ax=maps, label="weight of primitives 1 to 4", **below
+        )
         plt.show()
 
 
