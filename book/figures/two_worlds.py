@@ -8,6 +8,7 @@ from IPython.display import HTML
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
 from numpy import ndarray as Array
 
 import plots
@@ -221,68 +222,78 @@ def networks(kept: Mapping[str, Mapping]) -> None:
 def third(
     mazes: Mapping[str, Mapping], bodies: Mapping[str, Mapping]
 ) -> None:
-    """Draw what new agents reach in third mazes, and with a third body."""
+    """Draw what new agents reach in third mazes, and with a third body.
+
+    Colours tell the worlds of a reward everywhere.
+    """
     with plots.style():
-        _, axes = plt.subplots(
-            3, 1, figsize=(5.4, 7.8), height_ratios=(6, 4, 4)
+        fig, axes = plt.subplots(
+            3, 1, figsize=(5.4, 8.6), height_ratios=(6, 4, 4)
         )
+    fig.get_layout_engine().set(hspace=0.06)
     titles = "the wall moves", "the wall is lower", "the body is new"
     for ax, title in zip(axes, titles, strict=True):
         ax.set_title(title, loc="left", fontweight="bold")
+    one, two, true = plots.ORANGE, plots.BLUE, plots.GREY
     rows = {
-        "r(s), none": "r(s), Left alone",
-        "r(s), turned": "r(s), + turned controls",
-        "r(s, a), none": "r(s, a), Left alone",
-        "r(s, a), turned": "r(s, a), + turned controls",
-        "r(s, a), weak": "r(s, a), + weak motors",
+        "r(s), none": ("r(s), Left alone", one),
+        "r(s), turned": ("r(s), + turned controls", two),
+        "r(s, a), none": ("r(s, a), Left alone", one),
+        "r(s, a), turned": ("r(s, a), + turned controls", two),
+        "r(s, a), weak": ("r(s, a), + weak motors", two),
     }
-    for maze, color, side, label in (
-        ("moved", plots.GREEN, -0.15, "own controls"),
-        ("mirrored", plots.PURPLE, 0.15, "mirrored controls"),
-    ):
-        ends = [mazes["new"][f"{row}, {maze}"] for row in rows]
-        _strips(axes[0], ends, color, side, label)
-    _strips(axes[0], [mazes["true"]], plots.GREY, first=len(rows))
-    names = [*rows.values(), "true reward"]
+    for y, (row, (_, color)) in enumerate(rows.items()):
+        _strip(axes[0], mazes["new"][f"{row}, moved"], y - 0.15, color)
+        mirrored = mazes["new"][f"{row}, mirrored"]
+        _strip(axes[0], mirrored, y + 0.15, color, mfc="none")
+    _strip(axes[0], mazes["true"], len(rows), true)
+    names = [*(name for name, _ in rows.values()), "true reward"]
     _name_strips(axes[0], names, "return in PointMazeRight")
     axes[0].set_xticks((-25, -20, -15, -10))
-    axes[0].legend(handletextpad=0.1, loc="upper left")
     lower = {
         f"{form}, {name}": (f"{form}, {worlds}, low", color)
         for name, worlds, color in (
-            ("Left alone", "none", plots.ORANGE),
-            ("Left and Right", "sides", plots.BLUE),
+            ("Left alone", "none", one),
+            ("Left and Right", "sides", two),
         )
         for form in ("r(s)", "r(s, a)")
     }
     for y, (row, color) in enumerate(lower.values()):
-        _strips(axes[1], [mazes["sides"][row]], color, first=y)
+        _strip(axes[1], mazes["sides"][row], y, color)
     _name_strips(axes[1], [*lower], "return in the lower-wall maze")
     ants = {
-        "whole state, one body": "able",
-        "whole state, two bodies": "both",
-        "velocity alone": "velocity, able",
-        "true reward": "true",
+        "whole state, one body": ("able", one),
+        "whole state, two bodies": ("both", two),
+        "velocity, one body": ("velocity, able", one),
+        "true reward": ("true", true),
     }
-    colors = plots.ORANGE, plots.BLUE, plots.ORANGE, plots.GREY
-    for y, (name, color) in enumerate(
-        zip(ants.values(), colors, strict=True)
-    ):
-        _strips(axes[2], [bodies["new"][name]["true"]], color, first=y)
+    for y, (name, color) in enumerate(ants.values()):
+        _strip(axes[2], bodies["new"][name]["true"], y, color)
     _name_strips(axes[2], [*ants], "return of DisabledAnt")
+    line = {"color": "0.35", "ls": "--", "lw": 1, "zorder": 0}
+    for ax, bar in zip(axes, ARRIVES, strict=False):
+        ax.axvline(bar, **line)
+    keys = [
+        Line2D([], [], color=one, label="one world", **DOTS),
+        Line2D([], [], color=two, label="two worlds", **DOTS),
+        Line2D([], [], color=true, label="true reward", **DOTS),
+        Line2D(
+            [], [], color=two, mfc="none", label="mirrored controls", **DOTS
+        ),
+        Line2D([], [], label="right of it: arrives", **line),
+    ]
+    look = {"handlelength": 1.2, "columnspacing": 1.2}
+    fig.legend(handles=keys, loc="outside upper center", ncols=3, **look)
     plt.show()
 
 
-def _strips(ax, ends, color, side=0.0, label=None, first=0) -> None:
-    style = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
-    for y, values in enumerate(ends, first):
-        ax.plot(
-            values,
-            [y + side] * len(values),
-            color=color,
-            label=label if y == first else None,
-            **style,
-        )
+ARRIVES = (-15, -16)
+"""Above these returns an agent is past the moved and the lower wall."""
+DOTS = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
+
+
+def _strip(ax: Axes, values: Array, y: float, color: str, **look) -> None:
+    ax.plot(values, [y] * len(values), color=color, **DOTS, **look)
 
 
 def _name_strips(ax, names, xlabel) -> None:
