@@ -89,8 +89,8 @@ def test_the_page_counts_the_arrivals_in_the_third_maze():
         "r(s, a), weak": 7,
     }
     assert (
-        "On $r(s)$ of Left alone 10 of 10 arrive, on $r(s,a)$ 8. With a copy with turned controls "
-        "9 and 9 do, with one with weak motors 7 on $r(s,a).$"
+        "Arrivals of ten:\n\n|learned from|$r(s)$|$r(s,a)$|\n|---|---|---|\n|Left alone|10|8|\n"
+        "|and turned controls|9|9|\n|and weak motors|not run|7|"
     ) in text_of_the_page()
 
 
@@ -129,6 +129,7 @@ def test_the_reward_of_one_world_gets_worse_once_the_agent_is_where_the_expert_i
 
     names["Player"] = SamePlaces
     assert max(names["play"](pair[:1], reward)) < 0.55
+    assert "if it is there from the start, the correlation stays below 0.55" in text_of_the_page()
 
 
 def test_two_worlds_are_not_always_ahead_of_one():
