@@ -89,8 +89,13 @@ SAYS = {
 }
 """What each claims."""
 
-LIMITS = {(6, CONFIRMED): "for a short warm-up"}
+LIMITS = {
+    (4, CONFIRMED): "confirmed, but it could not fail",
+    (6, CONFIRMED): "confirmed for a short warm-up",
+}
 """How far a verdict reaches, where that is not everywhere."""
+OPEN = "◌"
+"""Before a claim that no number could have contradicted."""
 
 
 def _listed(names):
@@ -131,8 +136,8 @@ def evidence(arrived, FOUND, recipe, step, larger):
     four, gate_of_eight = (c.scale.split("× ")[1] for c in FOUND[6])
     EVIDENCE = {
         4: f"{early.sum()} of {SEEDS} old policies arrive within 40,000 "
-        f"steps, {arrived(4)[0]} within 100,000. By our rules "
-        "no number could have contradicted this claim",
+        f"steps, {arrived(4)[0]} within 100,000; no number could have "
+        "contradicted this claim",
         6: f"no gate of ten arrives over four primitives ({four} steps), "
         f"and none over eight ({gate_of_eight}). After another warm-up? "
         "Bet in the section on the maze",
@@ -160,8 +165,8 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
     def box(n):
         word = VERDICTS[n]
         color, sign = MARKS[word]
-        limit = LIMITS.get((n, word), "")
-        verdict = f"{sign} {word} {limit}".strip()
+        sign = OPEN if (n, word) == (4, CONFIRMED) else sign
+        verdict = f"{sign} {LIMITS.get((n, word), word)}"
         return (
             f"<details><summary><b>{n} · {NAMES[n]}:</b> {SAYS[n]}"
             f'</summary><p><b style="color: {color}">{verdict}:</b> '
