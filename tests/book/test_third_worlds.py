@@ -90,7 +90,7 @@ def test_the_page_counts_the_arrivals_in_the_third_maze():
     }
     assert (
         "Arrivals of ten:\n\n|learned from|$r(s)$|$r(s,a)$|\n|---|---|---|\n|Left alone|10|8|\n"
-        "|and turned controls|9|9|\n|and weak motors|not run|7|"
+        "|+ turned controls|9|9|\n|+ weak motors|not run|7|"
     ) in text_of_the_page()
 
 
