@@ -192,15 +192,18 @@ def costs() -> dict[str, tuple[int, float]]:
 
 
 def draw_costs(found: Mapping[str, tuple[int, float]]) -> Figure:
-    """Draw the hours of each kind of run, the costliest first."""
+    """Draw the hours of the costliest kinds of run, and of the rest."""
     order = sorted(found, key=lambda what: found[what][1])
-    hours = [found[what][1] for what in order]
-    fig, ax = plt.subplots(figsize=(5.4, 0.22 * len(order) + 0.6))
-    bars = ax.barh(order, hours, color=plots.BLUE, height=0.7)
-    counts = [f"{found[what][0]} runs" for what in order]
-    counts = ["1 run" if text == "1 runs" else text for text in counts]
-    ax.bar_label(bars, counts, padding=3, fontsize=8)
+    rest, shown = order[:-12], order[-12:]
+    runs, spent = zip(*(found[what] for what in rest), strict=True)
+    rows = {f"{len(rest)} other kinds": (sum(runs), sum(spent))}
+    rows |= {what: found[what] for what in shown}
+    hours = [spent for _, spent in rows.values()]
+    fig, ax = plt.subplots(figsize=(5.4, 0.3 * len(rows) + 0.6))
+    bars = ax.barh(list(rows), hours, color=plots.BLUE, height=0.7)
+    counts = [f"{count} runs" for count, _ in rows.values()]
+    ax.bar_label(bars, counts, padding=3, fontsize=9)
     ax.set(xlabel="hours", xlim=(0, 1.15 * max(hours)))
-    ax.set_ylim(-0.6, len(order) - 0.4)
+    ax.set_ylim(-0.6, len(rows) - 0.4)
     ax.grid(visible=False, axis="y")
     return fig

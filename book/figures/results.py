@@ -90,7 +90,7 @@ SAYS = {
 """What each claims."""
 
 LIMITS = {
-    (4, CONFIRMED): "confirmed, but it could not fail",
+    (4, CONFIRMED): "fits, but could not fail",
     (6, CONFIRMED): "confirmed for a short warm-up",
 }
 """How far a verdict reaches, where that is not everywhere."""

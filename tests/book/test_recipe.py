@@ -209,7 +209,8 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
         for method in ("clone", "airl")
     ]
     cloned, learned = (f"{one}, {two} and {three}" for one, two, three in thinned)
-    assert f"cloning comes to {cloned} %, the recipe to {learned}." in text
+    robots = "Hopper, Walker2d and HalfCheetah"
+    assert f"it comes to {cloned} % on {robots}, and the recipe to {learned}." in text
 
 
 def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
@@ -775,16 +776,23 @@ def test_what_is_said_of_dac_beside_the_recipe():
     assert 0.95 < ratio("CustomAnt", 500_000) < 1.05
 
 
-def test_dac_is_ahead_on_walker2d_from_four(monkeypatch):
+def test_dac_on_walker2d_and_halfcheetah_depends_on_the_demonstrations(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "book"))
     import benchmark_runs
 
-    cells = benchmark_runs.read()
+    cells, text = benchmark_runs.read(), " ".join(PAGE.split())
     assert benchmark_runs.clear(cells, "4", "airl", "dac") == ([], ["Walker2d"])
-    dac, recipe = (
-        benchmark_runs.summary(cells["4", "Walker2d", m].ends).mean for m in ("dac", "airl")
-    )
-    assert f"from four ahead, {dac:.0f} against {recipe:.0f} %" in PAGE
+    assert benchmark_runs.clear(cells, "50", "airl", "dac") == (["HalfCheetah"], [])
+
+    def against(count, robot):
+        ends = (cells[count, robot, method].ends for method in ("dac", "airl"))
+        dac, recipe = (benchmark_runs.summary(x).mean for x in ends)
+        return f"{dac:.0f} against {recipe:.0f} %"
+
+    assert f"with fifty of the strongest it is level ({against('50', 'Walker2d')})" in text
+    assert f"with four of the strongest ahead ({against('4', 'Walker2d')})" in text
+    said = "level; from fifty demonstrations of the strongest expert behind"
+    assert f"| HalfCheetah | {said}, {against('50', 'HalfCheetah')} |" in text
 
 
 def test_the_defaults_were_best_or_level():
