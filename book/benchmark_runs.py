@@ -366,6 +366,7 @@ DUELS = (
     ("50", "airl", "clone"),
     ("50", "dac", "clone"),
     ("50", "dac", "airl"),
+    ("50", "state-dac", "airl"),
 )
 """Two methods with the same demonstrations: which is ahead?"""
 
