@@ -33,7 +33,8 @@ MARK = "offairl"
 
 def run(page: Path, folder: Path, timeout: int | None = None) -> bool:
     """Run a page in a copy of the book; return whether all cells ran."""
-    print(f"Running {page}", flush=True)
+    # In one write, since other processes print there, too.
+    print(f"Running {page}\n", end="", flush=True)
     notebook, copy = nbformat.read(page, as_version=4), folder / page
     done = copy.with_name(f"{copy.name}.run")
     done.unlink(missing_ok=True)
