@@ -32,7 +32,7 @@ def test_a_role_has_one_colour_in_figures_and_toys(role):
     assert [getattr(plots, role)] == palette("LIGHT")[ROLES[role]]
 
 
-def test_maps_of_rewards_are_those_of_toys_on_dark_pages():
+def test_maps_of_rewards_have_the_colours_of_the_toys():
     ramp = palette("DARK")["reward"]
     drawn = plots.REWARD_MAP(np.linspace(0, 1, len(ramp)))[:, :3]
     np.testing.assert_allclose(drawn, [to_rgb(colour) for colour in ramp], atol=0.01)

@@ -43,7 +43,7 @@
       draw: (ctx, w, h, colour) => {
         const b = board(n, w);
         paint.squares(ctx, b, (s) => window.toys.shade(colour.reward, rewards[seed][s] / 999), colour);
-        paint.arrows(ctx, b, policy, colour.soft);
+        paint.arrows(ctx, b, policy, colour.ink);
         paint.wall(ctx, b, LEFT.wall, colour, {ghost: true});
         window.toys.line(ctx, ways.map(b.centre), colour.card, 8);
         window.toys.line(ctx, ways.map(b.centre), colour.learner, 5);

@@ -221,7 +221,7 @@
     }
     ctx.lineWidth = 5;
     ctx.lineJoin = "round";
-    ctx.strokeStyle = colour.ink;
+    ctx.strokeStyle = colour.frame;
     ctx.strokeRect(b.x + b.pad - 2.5, b.y + b.pad - 2.5, b.side - 2 * b.pad + 5,
       b.side - 2 * b.pad + 5);
   }

@@ -172,11 +172,12 @@
         const b = box(w, h);
         raster.colours((i) => window.toys.shade(colour.reward, (values[i] - least) / (most - least)), colour);
         raster.draw(ctx, b);
-        const to = window.toys.axes(ctx, b, [-EDGE, EDGE, -FAST, FAST], {...colour, line: "transparent"},
+        const to = window.toys.axes(ctx, b, [-EDGE, EDGE, -FAST, FAST],
+          {...colour, line: "transparent", soft: colour.frame},
           {y: [-8, -4, 0, 4, 8], yLabel: "speed (rad/s)"});
         for (const [x, name] of [[-180, "upright"], [0, "hanging"], [180, "upright"]])
           window.toys.text(ctx, name, to(x, 0)[0], b.y + b.h + 11,
-            {size: 12, colour: colour.soft, weight: 500});
+            {size: 12, colour: colour.frame, weight: 500});
         for (const sign of [-1, 1]) { // Just enough energy to come to rest at the top.
           const line = Array.from({length: 91}, (_, i) => {
             const x = (i / 45 - 1) * EDGE;

@@ -112,8 +112,8 @@
         window.toys.line(ctx, [[edge, box.y], [edge, box.y + box.h]], colour.ink, 1.5, {dash: [4, 4]});
         const y = Math.max(0, Math.min(104, percent(now.plans[1].value, 1)));
         window.toys.dot(ctx, ...at(step, y), 7, colour.learner, colour.rim);
-        window.toys.text(ctx, "r(s)", at(140, 0)[0], at(0, 84)[1], {colour: colour.good});
-        window.toys.text(ctx, "r(s, a)", at(140, 0)[0], at(0, 14)[1], {colour: colour.policy});
+        window.toys.text(ctx, "r(s)", at(138, 0)[0], at(0, 84)[1], {colour: colour.good});
+        window.toys.text(ctx, "r(s, a)", at(134, 0)[0], at(0, 14)[1], {colour: colour.policy});
       },
       grab: (x, y, ask) => ask || choose(x) || true,
       drag: choose,

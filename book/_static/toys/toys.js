@@ -2,9 +2,9 @@
 // keyboard can use, controls, and a line that says what has happened. No library, no network.
 window.toys = window.toys || (() => {
   // The colours of roles are those of the figures, `plots.py`, on light pages: expert, copy, learner,
-  // good (the learned reward) and star. The figures' maps of rewards are those of dark pages.
+  // good (the learned reward) and star. Maps of rewards are dark on all pages, as in the figures.
   const LIGHT = {
-    card: "#fffefa", ink: "#25213f", soft: "#635e7d", line: "#e4dff0", floor: "#f6f3ff",
+    card: "#fffefa", ink: "#25213f", frame: "#25213f", soft: "#635e7d", line: "#e4dff0", floor: "#f6f3ff",
     expert: "#5a1fd6", copy: "#2f7fd0", learner: "#ffc21a", wall: "#f2545b", good: "#009e73", policy: "#c75f00",
     rim: "#25213f", star: "#ff4d9d", button: "#efeaff", pressed: "#6c3df4", onPressed: "#ffffff",
     reward: ["#f6f3ff", "#dcf6ea", "#9ee8cb", "#45cda6", "#0aa587", "#00756a"],
@@ -13,7 +13,7 @@ window.toys = window.toys || (() => {
     difference: ["#e06b00", "#ff9f2e", "#ffd9a0", "#f6f3ff", "#cdb9ff", "#9166ff", "#5a1fd6"],
   };
   const DARK = {
-    card: "#1d1b2e", ink: "#f3f0ff", soft: "#b9b3d3", line: "#3a3655", floor: "#262340",
+    card: "#1d1b2e", ink: "#f3f0ff", frame: "#f3f0ff", soft: "#b9b3d3", line: "#3a3655", floor: "#262340",
     expert: "#9670ff", copy: "#86d6ff", learner: "#ffce45", wall: "#ff7b7b", good: "#4fe0b0", policy: "#ffb04d",
     rim: "#0f0d1c", star: "#ff79b8", button: "#352f57", pressed: "#a98bff", onPressed: "#17142b",
     reward: ["#262340", "#22454f", "#1c6f6b", "#1d9c82", "#45cf9d", "#b6ffd9"],
@@ -187,7 +187,7 @@ window.toys = window.toys || (() => {
       this.colour = dark() ? DARK : LIGHT;
       for (const [name, value] of Object.entries(this.colour))
         if (typeof value === "string") this.root.style.setProperty(`--toy-${name}`, value);
-      this.root.style.setProperty("--toy-ramp", `linear-gradient(90deg, ${this.colour.reward})`);
+      this.root.style.setProperty("--toy-ramp", `linear-gradient(90deg, ${DARK.reward})`);
       this.redraw();
     }
 
@@ -236,7 +236,7 @@ window.toys = window.toys || (() => {
         [pane.w, pane.h] = [w, h];
         ctx.setTransform(sharp, 0, 0, sharp, 0, 0);
         ctx.clearRect(0, 0, w, h);
-        draw(ctx, w, h, this.colour);
+        draw(ctx, w, h, scale ? {...DARK, frame: this.colour.frame} : this.colour);
       }};
       new ResizeObserver(() => this.redraw()).observe(canvas);
       if (grab) this.draggable(canvas, {grab, drag, drop});

@@ -196,7 +196,7 @@
       const b = board(n, w), now = history[shown];
       const top = now ? Math.max(5, ...now.reward) : 1;
       paint.squares(ctx, b, (s) =>
-        window.toys.shade(colour.reward, now ? Math.max(0, now.reward[s] / top) ** 0.6 : 0), colour);
+        window.toys.shade(colour.reward, now ? Math.max(0, now.reward[s] / top) ** 0.45 : 0), colour);
       for (const {states} of stroke ? [...demos, stroke] : demos)
         window.toys.line(ctx, states.map(b.centre), colour.expert, 3, {alpha: 0.65});
       if (moved()) paint.wall(ctx, b, home, colour, {ghost: true});
