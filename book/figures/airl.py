@@ -154,13 +154,13 @@ def against_predictions(learned, true_reward, expert):
         off = np.ptp(r - true_reward)
         off = f"{off:.1f}" if off > 1e-6 else "0"
         fits = tiny(V - expert.value), tiny(r - true_reward - ratio)
-        rows.append((f"the policy {name}", *fits, off))
+        rows.append((name, *fits, off))
     return table(
         [
-            "range over the squares, when",
-            "fitted V − predicted V",
-            "fitted r − predicted r",
-            "fitted r − true reward",
+            "the policy …",
+            "V: fit −<br>prediction",
+            "r: fit −<br>prediction",
+            "r: fit −<br>truth",
         ],
         rows,
     )
@@ -172,8 +172,8 @@ def best_rewards(learned, opponents, _mdp, _maze):
     truth = learned[expert][0]
     widest = np.abs(learned[names[0]][2]).max()
     lowest = np.ptp(learned[names[0]][0])
-    with plots.style(), plt.rc_context({"font.size": 15}):
-        fig, axes = plt.subplots(2, 3, figsize=(6.4, 5.0))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        fig, axes = plt.subplots(2, 3, figsize=(5.4, 4.3))
         for row, name in zip(axes, names, strict=True):
             r, _, error = learned[name]
             for ax, values in zip(row, (truth, error, r), strict=True):
@@ -199,12 +199,16 @@ def best_rewards(learned, opponents, _mdp, _maze):
 def game(games):
     """Draw how the game converges for each step size."""
     colors = (plots.RED, plots.ORANGE, plots.BLUE, plots.GREEN)
-    with plots.style(), plt.rc_context({"font.size": 15}):
-        _fig, axes = plt.subplots(1, 2, figsize=(6.4, 4.2), sharey=True)
+    ticks = (1, 0.01, 0.0001)
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        _fig, axes = plt.subplots(1, 2, figsize=(5.4, 3.9), sharey=True)
         for (history, _), color in zip(games.values(), colors, strict=True):
             for ax, column in zip(axes, history.T, strict=True):
                 ax.plot(column, color=color, lw=2.5)
                 ax.set(xlabel="round", yscale="log", ylim=(1e-5, 30))
+                ax.set_yticks(ticks, labels=[f"{y:g}" for y in ticks])
+                ax.set_xticks((0, 30, 60))
+                ax.minorticks_off()
         axes[0].set_title("distance of visits")
         axes[1].set_title("error of the reward")
         for x, y, text, color in (
@@ -231,8 +235,8 @@ def after_the_move(score):
 
 def entangled(rewards, new_policies, moved):
     """Draw rewards and what they lead to where the wall has moved."""
-    with plots.style(), plt.rc_context({"font.size": 15}):
-        _fig, axes = plt.subplots(2, 2, figsize=(6.2, 6.6))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        _fig, axes = plt.subplots(2, 2, figsize=(5.4, 5.8))
         for ax, (name, value) in zip(
             axes.flat, rewards.items(), strict=True
         ):
@@ -310,22 +314,21 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
         # Where the new agent ends: the start is 0.5 away from the star.
         end = new_walks.next_obs[seed, :, -20:, :2]
         if arrives:
-            return "at the star"
+            return "star"
         far = np.linalg.norm(end - GOAL, axis=-1).mean()
-        return "in a corner" if far > 0.5 else "short of it"
+        return "corner" if far > 0.5 else "short of it"
 
     rows = []
     for seed, (agent, expert) in enumerate(
         zip(collected(new_walks), collected(theirs), strict=True)
     ):
         arrives = trained.returns[seed, -1] > -14
-        fault = "the reward" if agent > expert else "the learner"
+        fault = "reward" if agent > expert else "learner"
+        score = percent(trained.returns[seed, -1])
         rows.append(
             (
                 f"{seed}",
-                percent(source.returns[seed, -1]),
-                f"{percent(trained.returns[seed, -1])}<br>"
-                f"{place(seed, arrives)}",
+                f"{score},\u00a0{place(seed, arrives)}",
                 number(agent, 0),
                 number(expert, 0),
                 "–" if arrives else fault,
@@ -334,11 +337,10 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
     return table(
         (
             "seed",
-            "old maze",
-            "new maze",
-            "learned reward,<br>new agent",
-            "learned reward,<br>expert",
-            "at fault",
+            "new agent:<br>score, place",
+            "it<br>collects",
+            "expert<br>collects",
+            "at<br>fault",
         ),
         rows,
     )
@@ -346,8 +348,8 @@ def seed_by_seed(source, trained, new_walks, RIGHT):
 
 def blind(columns, LEFT, RIGHT):
     """Draw rewards and paths in both mazes."""
-    with plots.style(), plt.rc_context({"font.size": 15}):
-        _fig, axes = plt.subplots(2, 3, figsize=(6.6, 5.2))
+    with plots.style(), plt.rc_context({"font.size": 14}):
+        _fig, axes = plt.subplots(2, 3, figsize=(5.6, 4.6))
         for pair, (name, (*runs, seed)) in zip(
             axes.T, columns.items(), strict=True
         ):
