@@ -12,6 +12,9 @@ from offairl_lite.envs.models import GOAL, walls
 from offairl_lite.runs import records
 
 
+LARGE = {"font.size": 12.5}  # for phones, too
+
+
 def number(value, digits=0):
     """Return a number as tables show it, with thousands marked."""
     return f"{value:,.{digits}f}".replace("-", "−")
@@ -131,53 +134,59 @@ def moving_wall(imitation, demonstrated, kept):
 
 def loop():
     """Draw the loop of off-policy AIRL."""
-    _fig, _ = diagram(
-        (4.3, 4.4),  # two columns, which a phone can show, too
-        {
-            "policy": (
-                0.9,
-                3.9,
-                "policy\n" + r"$\pi(a \mid s)$",
-                plots.COPY,
-            ),
-            "maze": (3.4, 3.9, "maze"),
-            "replay": (3.4, 2.2, "replay buffer\n" + r"$R$", plots.ORANGE),
-            "sac": (0.9, 2.2, "soft\nactor-critic", plots.COPY),
-            "airl": (
-                0.9,
-                0.5,
-                "discriminator\n" + r"$r_\psi,\ V_\omega$",
-                plots.REWARD,
-            ),
-            "expert": (
-                3.4,
-                0.5,
-                "demonstrations\n" + r"$R_E$",
-                plots.EXPERT,
-            ),
-        },
-        [
-            ("policy", "maze", "acts"),
-            ("maze", "replay", "stores"),
-            ("replay", "sac", "old steps"),
-            ("replay", "airl", "old steps"),
-            ("expert", "airl", "steps"),
-            ("airl", "sac", r"$r_\psi(s)$"),
-            ("sac", "policy", "improves"),
-        ],
-    )
+    with plt.rc_context({"font.size": 11.5}):
+        _fig, _ = diagram(
+            (4.3, 4.4),  # two columns, which a phone can show, too
+            {
+                "policy": (
+                    0.9,
+                    3.9,
+                    "policy\n" + r"$\pi(a \mid s)$",
+                    plots.COPY,
+                ),
+                "maze": (3.4, 3.9, "maze"),
+                "replay": (
+                    3.4,
+                    2.2,
+                    "replay buffer\n" + r"$R$",
+                    plots.ORANGE,
+                ),
+                "sac": (0.9, 2.2, "soft\nactor-critic", plots.COPY),
+                "airl": (
+                    0.9,
+                    0.5,
+                    "discriminator\n" + r"$r_\psi,\ V_\omega$",
+                    plots.REWARD,
+                ),
+                "expert": (
+                    3.4,
+                    0.5,
+                    "demonstrations\n" + r"$R_E$",
+                    plots.EXPERT,
+                ),
+            },
+            [
+                ("policy", "maze", "acts"),
+                ("maze", "replay", "stores"),
+                ("replay", "sac", "old steps"),
+                ("replay", "airl", "old steps"),
+                ("expert", "airl", "steps"),
+                ("airl", "sac", r"$r_\psi(s)$"),
+                ("sac", "policy", "improves"),
+            ],
+        )
     plt.show()
 
 
 def mazes(demonstrated):
     """Draw both mazes, and demonstrations in the first."""
-    with plots.style():
-        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.7), sharey=True)
+    with plots.style(), plt.rc_context(LARGE):
+        _fig, axes = plt.subplots(1, 2, figsize=(4.8, 2.8), sharey=True)
         for ax, side, when in zip(
             axes, ("Left", "Right"), ("first", "later"), strict=True
         ):
             plots.maze(ax, side)
-            ax.set_title(f"{when}: PointMaze{side}")
+            ax.set_title(f"{when}:\nPointMaze{side}")
         axes[1].set_ylabel("")
         axes[0].plot(
             *demonstrated[:10].T, color=plots.EXPERT, alpha=0.7, lw=1
@@ -198,9 +207,9 @@ def arrivals(past, ends, names):
 
 def imitation_of_one_seed(curve, expert, airl, scale, paths):
     """Draw returns, the learned reward and last paths."""
-    with plots.style():
+    with plots.style(), plt.rc_context(LARGE):
         fig, axes = plt.subplots(
-            2, 1, figsize=(4.8, 6.9), height_ratios=(3, 6)
+            2, 1, figsize=(4.8, 7.1), height_ratios=(3, 6)
         )
         steps, values = np.transpose(curve)
         axes[0].plot(steps / 1_000, values, "o-", color=plots.COPY, ms=3)
@@ -216,7 +225,7 @@ def imitation_of_one_seed(curve, expert, airl, scale, paths):
 
 def wall_moved(old_return, stuck, new, airl, scale):
     """Draw the old and the new policy where the wall has moved."""
-    with plots.style():
+    with plots.style(), plt.rc_context(LARGE):
         fig, axes = plt.subplots(1, 2, figsize=(4.8, 3.2))
         shown = (
             (
@@ -242,7 +251,7 @@ def wall_moved(old_return, stuck, new, airl, scale):
 
 def five_seeds(imitation, expert, transfer, target):
     """Draw the returns of five recorded seeds."""
-    with plots.style():
+    with plots.style(), plt.rc_context(LARGE):
         fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.6))
         fig.get_layout_engine().set(h_pad=0.1)
         curves = (
@@ -272,8 +281,9 @@ def five_seeds(imitation, expert, transfer, target):
 
 def behind_the_star(imitation, released, line, kept):
     """Draw rewards and log π on the line through the star."""
-    with plots.style():
-        _fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.4), sharex=True)
+    with plots.style(), plt.rc_context(LARGE):
+        fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.8), sharex=True)
+        fig.get_layout_engine().set(h_pad=0.1)
         for run, color in (
             (imitation, plots.BLUE),
             (released, plots.ORANGE),
@@ -297,9 +307,9 @@ def behind_the_star(imitation, released, line, kept):
         places.tick_params(length=0)
         for ax, x, y, text, color in (
             (axes[0], 0.555, -0.92, "AIRL loss", plots.BLUE),
-            (axes[0], 0.555, -0.8, "log-ratio loss", plots.ORANGE),
+            (axes[0], 0.555, -0.79, "log-ratio loss", plots.ORANGE),
             (axes[1], 0.495, -30, "experts", plots.EXPERT),
-            (axes[1], 0.558, -13, "own\nactions", plots.COPY),
+            (axes[1], 0.558, -22, "own\nactions", plots.COPY),
         ):
             ax.text(x, y, text, color=color, ha="right")
         axes[0].set(ylabel=r"learned reward, peak at 0")
@@ -319,19 +329,20 @@ def logs_by_round(loss, temperature, rounds=6, start=-3.0, best=-2.0):
 
 def runaway():
     """Draw how log π of an old action moves with both losses."""
-    with plots.style():
-        _fig, ax = plt.subplots(figsize=(4.8, 3.2))
+    with plots.style(), plt.rc_context(LARGE):
+        _fig, ax = plt.subplots(figsize=(4.8, 3.5))
         for loss, alpha, color, text, y in (
             ("AIRL", 0.2, plots.RED, "AIRL loss, α = 0.2", 6_000),
-            ("log-ratio", 0.2, plots.BLUE, "log-ratio loss, α = 0.2", 16),
-            ("AIRL", 2.0, plots.GREY, "AIRL loss, α = 2", 0.95),
+            ("log-ratio", 0.2, plots.BLUE, "log-ratio loss, α = 0.2", 22),
+            ("AIRL", 2.0, plots.GREY, "AIRL loss, α = 2", 0.8),
         ):
             values = logs_by_round(loss, alpha)
             ax.semilogy(-values, "o-", color=color, ms=4)
             x = 3.3 if values[-1] < -100 else 6
             ax.text(x, y, text, color=color, ha="right", va="center")
-        ax.set(xlabel="round", ylabel=r"$-\log\ \pi$ (nats)")
-        ax.set(ylim=(0.5, 2e5))
+        ax.set(xlabel="round", ylabel=r"$-\log\ \pi$")
+        ax.set(ylim=(0.4, 2e5))
+        ax.set_yticks((1, 100, 10_000), labels=("1", "100", "10,000"))
         ax.minorticks_off()
         plt.show()
 
