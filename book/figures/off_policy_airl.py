@@ -11,7 +11,6 @@ from offairl_lite import demonstrations
 from offairl_lite.envs.models import GOAL, walls
 from offairl_lite.runs import records
 
-
 LARGE = {"font.size": 12.5}  # for phones, too
 
 
