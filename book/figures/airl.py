@@ -160,7 +160,7 @@ def against_predictions(learned, true_reward, expert):
             "the policy …",
             "V: fit −<br>prediction",
             "r: fit −<br>prediction",
-            "r: fit −<br>truth",
+            "r:\u00a0fit\u00a0−<br>truth",
         ],
         rows,
     )
