@@ -828,6 +828,9 @@ def test_the_hours_are_those_of_the_records():
     assert f"{min(large) * times:.0f}–{max(large) * times:.0f}" == "8–15"
     for row in ("0.24", "0.4–2.5", "1.2–2.3", "8–15"):
         assert f" | {row} | " in PAGE
+    note = (ROOT / "book/notes/cost_of_the_runs.ipynb").read_text("utf-8")
+    for row in ("0.4 to 2.5", "1.2 to 2.3", "8 to 15"):
+        assert f"| {row} hours" in note
     pairs = [(name.replace("released", "dac"), name) for name in RECIPE.values()]
     for size, robot in itertools.product(("demo", "full"), ("Hopper", "Walker2d")):
         pairs.append(tuple(f"locomotion-{size}/{robot}-{method}" for method in ("dac", "airl")))
