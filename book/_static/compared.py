@@ -47,10 +47,13 @@ def filmed(
 
 
 def draw(
-    name: str, ranks: Mapping[str, int], lead: float, away: float
+    name: str,
+    ranks: Mapping[str, int],
+    lead: float,
+    away: float,
+    steps: Sequence[int] = (400, 440, 480),
 ) -> None:
     """Draw a row of pictures for each folder of a record, as `filmed`."""
-    steps = (400, 440, 480)
     rows = [filmed(*row, steps, lead, away) for row in ranks.items()]
     labels, shots = zip(*rows, strict=True)
     titles = [f"step {step}" for step in steps]

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
+import nbformat
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
@@ -854,7 +855,10 @@ def test_the_learned_return_tells_which_seeds_have_found_the_way():
     assert ants.returns[:, -1].max() < 100
 
 
-@pytest.mark.parametrize(("picture", "above", "below"), [("slow", 3_500, 3_200), ("weak", 300, 50)])
+@pytest.mark.parametrize(
+    ("picture", "above", "below"),
+    [("slow", 3_500, 3_200), ("weak", 300, 50), ("cramped", 900, -80)],
+)
 def test_a_strip_shows_what_its_caption_says(picture, above, below, monkeypatch):
     """Both episodes last to their end, and the upper one returns more."""
     monkeypatch.syspath_prepend(str(ROOT / "book/_static"))
@@ -866,7 +870,8 @@ def test_a_strip_shows_what_its_caption_says(picture, above, below, monkeypatch)
     upper, lower = (compared.played(*row)[1] for row in drawn[picture].items())
     assert upper.lengths == lower.lengths == 1_000
     assert upper.returns > above > below > lower.returns
-    (shown,) = re.findall(rf"_static/{picture}\.png\n(.*?)\n```", PAGE, re.DOTALL)
+    note = nbformat.read(ROOT / "book/notes/ant_rewards.ipynb", as_version=4).cells[0].source
+    (shown,) = re.findall(rf"_static/{picture}\.png\n(.*?)\n```", PAGE + note, re.DOTALL)
     assert len(shown.rpartition("\n\n")[2].split()) <= 40
     assert (ROOT / f"book/_static/{picture}.png").stat().st_size <= 250_000
 
