@@ -14,4 +14,4 @@ RANKS = {
     "ant-rewards-demo/implementation-1": 1,
 }
 
-compared.draw("cramped", RANKS, 1.2, 5.5, steps=(400, 420, 440))
+compared.draw("cramped", RANKS, lead=1.2, away=5.5, steps=(400, 420, 440))
