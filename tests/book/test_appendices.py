@@ -58,6 +58,13 @@ def test_rewards_that_are_named_exist():
     assert named <= set(get_args(RewardName))
 
 
+def test_the_lines_to_find_are_those_of_the_package():
+    code, *_ = re.findall(r"```python\n(.*?)```", TABLES["from_paper_to_code"], re.DOTALL)
+    owners = ("core.rewards.dac", "core.rewards.log_odds", "core.discriminator.shaped_reward")
+    for line, name in zip(code.splitlines(), owners, strict=True):
+        assert inspect.getsource(found(name)).rstrip().endswith(f"    {line}")
+
+
 def test_the_ledger_has_all_that_the_release_preset_switches():
     ledger = TABLES["from_paper_to_code"].partition("(sec-ledger)=")[2]
     rows = [line for line in ledger.splitlines() if line.startswith("|") and "RELEASE" in line]
