@@ -19,6 +19,9 @@ from offairl_lite.tabular import MDP, soft_value_iteration
 
 ALPHA = 0.05
 WALL = "#f2545b"
+WATER = "#a8dcff"
+WORLDS = {"one world": plots.ORANGE, "two worlds": plots.BLUE}
+"""Of what is learned from so many worlds, in all figures of the chapter."""
 FINE = 40
 """Pixels along a square, which show the triangles in it."""
 GOAL = divmod(int(tabular.maze(CELLS, "Left").reward.argmax()), CELLS)[::-1]
@@ -87,14 +90,16 @@ def opening(
         ax.set_title(name)
     slipped = np.random.default_rng(0).random(CELLS**2) < 0.3
     drops = np.divmod(np.flatnonzero(slipped), CELLS)[::-1]
-    drop = {"mec": "white", "mew": 0.6, "ms": 6, "ls": ""}
-    axes[0, 1].plot(*drops, marker="o", color=plots.COPY, **drop)
-    for ax, (name, r) in zip(axes[1], rewards.items(), strict=True):
+    drop = {"mec": "black", "mew": 0.5, "ms": 6, "ls": ""}
+    axes[0, 1].plot(*drops, marker="o", color=WATER, **drop)
+    for ax, (name, r), color in zip(
+        axes[1], rewards.items(), WORLDS.values(), strict=True
+    ):
         policy = soft_value_iteration(new, r, ALPHA).policy
-        image = draw_world(ax, new, r, plots.AGENT, policy)
-        ax.set_title(f"new maze, {name}")
-    axes[0, 0].set_ylabel("the expert, true reward")
-    axes[1, 0].set_ylabel("an agent, learned reward")
+        image = draw_world(ax, new, r, color, policy)
+        ax.set_title(name, color=color)
+    axes[0, 0].set_ylabel("the expert,\ntrue reward")
+    axes[1, 0].set_ylabel("an agent, new maze,\nlearned reward")
     below = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.03}
     bar = fig.colorbar(image, ax=axes, label="reward", aspect=25, **below)
     bar.set_ticks([0, 1], labels=["low", "high"])
@@ -103,7 +108,7 @@ def opening(
 
 def pairs(rows: Mapping[str, Sequence]) -> HTML:
     """Return the table of second recordings."""
-    head = ("second film", "left free", "door", "lower wall")
+    head = ("second film", "open", "door", "lower wall")
     return table(
         head,
         [
@@ -124,20 +129,21 @@ def distances(
     errors: Float[Array, "K N"],
 ) -> None:
     """Draw errors of r below their bound, with σ of each wet floor."""
+    two, dark = WORLDS["two worlds"], "0.35"
     with plots.style():
-        _, ax = plt.subplots(figsize=(5.4, 3.2))
-    ax.plot(slips, bounds, "o-", color=plots.GREY, ms=4)
+        fig, ax = plt.subplots(figsize=(4.7, 3.4))
+    ax.plot(slips, bounds, "o-", color=dark, ms=4, label="the bound, 1/σ")
     for slip, sigma, bound in zip(slips, far, bounds, strict=True):
         at = {"textcoords": "offset points", "xytext": (5, 4)}
-        ax.annotate(f"σ = {sigma:.2g}", (slip, bound), color="0.35", **at)
-    ax.plot(slips, errors, "o", color=plots.ORANGE, ms=4, alpha=0.7)
-    ax.text(0.43, 2, "five random errors each", color=plots.ORANGE)
-    ax.text(0.3, 40, "the bound: 1/σ", color="0.35")
+        ax.annotate(f"σ = {sigma:.2g}", (slip, bound), color=dark, **at)
+    ax.plot(slips, errors, "o", color=two, ms=4, alpha=0.7)
     ax.set(xlabel="commands that go astray on the wet floor (%)")
-    ax.set(yscale="log", ylabel="error of r, in errors\nof the films")
-    ax.set(xlim=(0, 1.12), xticks=[0.05, 0.2, 0.4, 0.7, 1])
+    ax.set(yscale="log", ylabel="error of the reward ÷\nerror of the films")
+    ax.set(xlim=(0, 1.2), xticks=[0.05, 0.2, 0.4, 0.7, 1], ylim=(0.4, 300))
     ax.set_xticklabels(["5", "20", "40", "70", "100"])
     ax.set_yticks([1, 10, 100], labels=["1×", "10×", "100×"])
+    tried = Line2D([], [], color=two, label="five random errors", **DOTS)
+    _key(fig, [*ax.get_lines()[:1], tried])
     plt.show()
 
 
@@ -148,9 +154,10 @@ def coverage(kept: Mapping[str, Array]) -> None:
     """
     with plots.style():
         fig, axes = plt.subplots(
-            1, 2, figsize=(5.4, 3.4), sharex=True, sharey=True
+            1, 2, figsize=(4.7, 3.3), sharex=True, sharey=True
         )
-    worlds = {"dry": plots.ORANGE, "dry and wet": plots.BLUE}
+    names = {"dry": "one world: dry", "dry and wet": "two: dry and wet"}
+    worlds = dict(zip(names, WORLDS.values(), strict=True))
     dots = {"ls": "", "marker": "o", "ms": 4, "alpha": 0.6, "mew": 0}
     for ax, reward in zip(axes, ("r(s, a)", "r(s)"), strict=True):
         for (name, color), aside in zip(
@@ -159,63 +166,57 @@ def coverage(kept: Mapping[str, Array]) -> None:
             run = f"sloppy, everywhere, {name}, {reward}"
             values = 100 * kept[run][..., 0]
             steps = aside * np.array(kept["steps"], float)
-            ax.plot(steps, np.median(values, 1), color=color, label=name)
+            ax.plot(steps, np.median(values, 1), color=color)
             ax.plot(steps, values, color=color, **dots)
-        ax.set(xscale="log", title=reward, xlabel="steps seen")
+        ax.set_title(f"learned: ${reward}$", pad=8)
+        ax.set(xscale="log", xlabel="steps seen")
         ax.set(ylim=(-75, 110), yticks=(-50, 0, 50, 100))
         ax.minorticks_off()
     axes[0].set_ylabel("score (%)")
-    names = ["dry floor", "dry and wet floor"]
-    lines = [line for line in axes[0].get_lines() if line.get_ls() == "-"]
-    fig.legend(lines, names, loc="outside upper center", ncols=2)
+    keys = [Line2D([], [], color=worlds[n], label=names[n]) for n in names]
+    _key(fig, keys)
     plt.show()
 
 
 def game(histories: Mapping[str, Sequence[float]]) -> None:
     """Draw how the adversarial game finds the reward."""
     with plots.style():
-        _, ax = plt.subplots(figsize=(5.4, 2.7))
-    colors = (plots.ORANGE, plots.BLUE)
-    for (name, values), color in zip(
-        histories.items(), colors, strict=True
-    ):
-        ax.plot(range(1, len(values) + 1), values, color=color, label=name)
+        fig, ax = plt.subplots(figsize=(4.7, 2.9))
+    for name, values in histories.items():
+        look = {"color": WORLDS[name], "label": name}
+        ax.plot(range(1, len(values) + 1), values, **look)
     ax.set(xlabel="rounds", ylabel="correlation with\nthe true reward")
     ax.set_ylim(0, 1.03)
-    ax.legend(loc="lower right")
+    _key(fig, ax.get_lines())
     plt.show()
 
 
 def networks(kept: Mapping[str, Mapping]) -> None:
     """Draw the game with networks, and how far mazes are apart."""
     with plots.style():
-        _, axes = plt.subplots(
-            1, 2, figsize=(5.6, 3.3), width_ratios=(2, 3.3)
-        )
-    dots = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
-    for count, color in ((1, plots.ORANGE), (2, plots.BLUE)):
-        for x, form in enumerate(("table", "network")):
+        fig, axes = plt.subplots(2, 1, figsize=(4.7, 5.2))
+    fig.get_layout_engine().set(hspace=0.08)
+    one, two = WORLDS.values()
+    for x, form in enumerate(("table", "network")):
+        for count, color in ((1, one), (2, two)):
             likes = kept["game"][f"{form}, {count}"][:, 0]
-            label = ("one world", "two worlds")[count - 1] if x else None
-            axes[0].plot([x] * 5, likes, color=color, label=label, **dots)
-    axes[0].set(xlim=(-0.6, 1.6), ylim=(0, 1.05), xticks=(0, 1))
-    axes[0].set_xticklabels(("free\nnumbers", "networks"))
+            aside = x + 0.2 * count - 0.3
+            axes[0].plot([aside] * 5, likes, color=color, **DOTS)
+    axes[0].set(xlim=(-0.5, 1.5), ylim=(0, 1.05), xticks=(0, 1))
+    axes[0].set_xticklabels(("free numbers", "a network"))
     axes[0].set_ylabel("correlation with\nthe true reward")
-    axes[0].legend(loc="lower right")
     names = "same\nagain", "wall\nmoved", "weak\nmotors", "turned\ncontrols"
     for x, pairs in enumerate(kept["distances"].values()):
-        for part, color, label in (
-            (0, plots.BLUE, "two mazes"),
-            (1, plots.GREY, "halves of one"),
-        ):
-            at, label = [x + 0.2 * part - 0.1] * 3, None if x else label
-            axes[1].plot(
-                at, pairs[:, part], color=color, label=label, **dots
-            )
-    axes[1].set(xlim=(-0.5, 3.5), ylim=(0, 0.27), xticks=range(4))
+        for part, color in ((1, one), (0, two)):
+            at = [x + 0.1 - 0.2 * part] * 3
+            axes[1].plot(at, pairs[:, part], color=color, **DOTS)
+    axes[1].set(xlim=(-0.5, 3.5), ylim=(0, 0.25), xticks=range(4))
     axes[1].set_xticklabels(names)
     axes[1].set_ylabel("estimated distance σ")
-    axes[1].legend(loc="upper left")
+    titles = "How good is the reward?", "How far apart are two samples?"
+    for ax, title in zip(axes, titles, strict=True):
+        ax.set_title(title, loc="left", fontweight="bold", pad=8)
+    _key(fig, [_dot(color, name) for name, color in WORLDS.items()])
     plt.show()
 
 
@@ -228,13 +229,13 @@ def third(
     """
     with plots.style():
         fig, axes = plt.subplots(
-            3, 1, figsize=(5.4, 8.6), height_ratios=(6, 4, 4)
+            3, 1, figsize=(4.9, 8.6), height_ratios=(6, 4, 4)
         )
-    fig.get_layout_engine().set(hspace=0.06)
-    titles = "the wall moves", "the wall is lower", "the body is new"
+    fig.get_layout_engine().set(hspace=0.08)
+    titles = "The wall moves", "The wall is lower", "The body is new"
     for ax, title in zip(axes, titles, strict=True):
-        ax.set_title(title, loc="left", fontweight="bold")
-    one, two, true = plots.ORANGE, plots.BLUE, plots.GREY
+        ax.set_title(title, loc="left", fontweight="bold", pad=8)
+    one, two, true = *WORLDS.values(), "0.35"
     rows = {
         "r(s), none": ("r(s), Left alone", one),
         "r(s), turned": ("r(s), + turned controls", two),
@@ -274,17 +275,24 @@ def third(
     for ax, bar in zip(axes, ARRIVES, strict=False):
         ax.axvline(bar, **line)
     keys = [
-        Line2D([], [], color=one, label="one world", **DOTS),
-        Line2D([], [], color=two, label="two worlds", **DOTS),
-        Line2D([], [], color=true, label="true reward", **DOTS),
-        Line2D(
-            [], [], color=two, mfc="none", label="mirrored controls", **DOTS
-        ),
+        *(_dot(color, name) for name, color in WORLDS.items()),
+        _dot(true, "true reward"),
+        _dot(true, "mirrored controls", mfc="none"),
         Line2D([], [], label="right of it: arrives", **line),
     ]
-    look = {"handlelength": 1.2, "columnspacing": 1.2}
-    fig.legend(handles=keys, loc="outside upper center", ncols=3, **look)
+    _key(fig, keys, ncols=2)
     plt.show()
+
+
+def _key(fig, handles, ncols=2) -> None:
+    """Explain the colours, once, above all panels."""
+    look = {"handlelength": 1.4, "columnspacing": 1.6, "frameon": False}
+    place = {"loc": "outside upper center", "ncols": ncols}
+    fig.legend(handles=handles, **place, **look)
+
+
+def _dot(color: str, name: str, **look) -> Line2D:
+    return Line2D([], [], color=color, label=name, **DOTS, **look)
 
 
 ARRIVES = (-15, -16)

@@ -127,7 +127,10 @@ def test_the_reward_of_one_world_gets_worse_once_the_agent_is_where_the_expert_i
 
     names["Player"] = SamePlaces
     assert max(names["play"](pair[:1], reward)) < 0.55
-    assert "if it is there from the start, the correlation stays below 0.55" in text_of_the_page()
+    assert (
+        "if the agent is there from the start, the correlation stays below 0.55"
+        in text_of_the_page()
+    )
 
 
 def test_two_worlds_are_not_always_ahead_of_one():
