@@ -299,6 +299,19 @@ HEADINGS = {
     "the same choice at\na temperature of 1": (
         "at temperature 1: log-ratio loss, not AIRL loss"
     ),
+    "a temperature of 0.2,\nnot 1": (
+        "with the log-ratio loss: temperature 0.2, not 1"
+    ),
+    "with the AIRL loss a\ntemperature of 1.2, not 0.2": (
+        "with the AIRL loss: temperature 1.2, not 0.2"
+    ),
+    "1,000 random steps,\nnot 10,000": "random steps: 1,000, not 10,000",
+    "an absorbing state,\nnot none": (
+        "end of an episode: absorbing state, not none"
+    ),
+    "a reward of the velocity,\nnot of the whole state": (
+        "what a reward sees: velocity, not the whole state"
+    ),
 }
 
 
