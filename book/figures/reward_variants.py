@@ -66,7 +66,7 @@ def learning(story_r, STORIES, hold=2):
         artists.append((story, image, ghost, line, dot, curve))
     axes[1, 0].set_ylabel(r"|mean $Q$|")
     bar = fig.colorbar(image, ax=axes[0], shrink=0.8)
-    bar.set_label(r"learned $r_\psi$, best place 0")
+    bar.set_label(r"$r_\psi$ at this moment, best place 0")
 
     def draw(i):
         k, part = divmod(i, hold)
