@@ -97,7 +97,7 @@ def opening(
     ):
         policy = soft_value_iteration(new, r, ALPHA).policy
         image = draw_world(ax, new, r, color, policy)
-        ax.set_title(name, color=color)
+        ax.set_title(f"learned {name}")
     axes[0, 0].set_ylabel("the expert,\ntrue reward")
     axes[1, 0].set_ylabel("an agent, new maze,\nlearned reward")
     below = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.03}
