@@ -147,7 +147,7 @@ def draw_rows(
 
 
 COSTS = {
-    **{f"{robot}: what decides": f"{GRID}/{robot}-*" for robot in ROBOTS},
+    **{f"{robot}, 100,000 steps": f"{GRID}/{robot}-*" for robot in ROBOTS},
     "the recipe, 500,000 steps": "locomotion-demo/*-airl",
     "DAC with SAC, 500,000 steps": "locomotion-demo/*-dac",
     "DAC with TD3, 500,000 steps": "locomotion-demo/*-td3",
@@ -192,15 +192,16 @@ def costs() -> dict[str, tuple[int, float]]:
 
 
 def draw_costs(found: Mapping[str, tuple[int, float]]) -> Figure:
-    """Draw the hours of the costliest kinds of run, and of the rest."""
+    """Draw the hours of the ten costliest kinds of run, and of the rest."""
     order = sorted(found, key=lambda what: found[what][1])
-    rest, shown = order[:-12], order[-12:]
+    rest, shown = order[:-10], order[-10:]
     runs, spent = zip(*(found[what] for what in rest), strict=True)
     rows = {f"{len(rest)} other kinds": (sum(runs), sum(spent))}
     rows |= {what: found[what] for what in shown}
     hours = [spent for _, spent in rows.values()]
     fig, ax = plt.subplots(figsize=(5.4, 0.3 * len(rows) + 0.6))
-    bars = ax.barh(list(rows), hours, color=plots.BLUE, height=0.7)
+    colors = [plots.GREY] + [plots.BLUE] * len(shown)
+    bars = ax.barh(list(rows), hours, color=colors, height=0.7)
     counts = [f"{count} runs" for count, _ in rows.values()]
     ax.bar_label(bars, counts, padding=3, fontsize=9)
     ax.set(xlabel="hours", xlim=(0, 1.15 * max(hours)))
