@@ -92,18 +92,29 @@ def level(
     label: str,
     color: str = GREY,
     linestyle: str = "--",
+    side: str = "right",
 ) -> None:
-    """Draw a horizontal reference line with a label at its right end."""
+    """Draw a horizontal reference line with a label.
+
+    The label stands above the line at its `right` or `left` end, or
+    `outside`, right of the panel.
+    """
     ax.axhline(value, color=color, linestyle=linestyle, linewidth=1.2)
     at: Any = {
         "xycoords": ("axes fraction", "data"),
         "textcoords": "offset points",
     }
+    x, offset, ha, va = {
+        "right": (1, (0, 3), "right", "baseline"),
+        "left": (0, (4, 3), "left", "baseline"),
+        "outside": (1, (4, 0), "left", "center"),
+    }[side]
     ax.annotate(
         label,
-        (1, value),
-        (0, 3),
-        ha="right",
+        (x, value),
+        offset,
+        ha=ha,
+        va=va,
         color=color,
         fontsize="small",
         **at,
