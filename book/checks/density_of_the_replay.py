@@ -31,41 +31,47 @@ def short_runs(runs):
 
 
 @recorded
-def exact_logit_learns_nothing(last):
-    """With the exact logit no seed learns in 20,000 steps; with a floor
+def the_airl_loss_learns_nothing(last):
+    """With the AIRL loss no seed learns in 20,000 steps; with a floor
     under σ two of five begin to run."""
-    assert last["exact logit"].max() < 0
-    assert (last["exact logit, σ > 0.37"] > 500).sum() == 2
+    assert last["AIRL loss"].max() < 0
+    assert (last["AIRL loss, σ > 0.37"] > 500).sum() == 2
 
 
 @recorded
 def others_learn(last):
-    """The released loss and DAC learn in every seed, equally fast; the
+    """The log-ratio loss and DAC learn in every seed, equally fast; the
     mixture does in every seed, too, but more slowly."""
     middle = {name: np.median(returns) for name, returns in last.items()}
-    for name in ("released loss", "DAC"):
+    for name in ("log-ratio loss", "DAC"):
         assert last[name].min() > 1_500
         assert middle["the mixture"] < middle[name]
-    assert 0.95 < middle["released loss"] / middle["DAC"] < 1.05
+    assert 0.95 < middle["log-ratio loss"] / middle["DAC"] < 1.05
     assert last["the mixture"].min() > 500
 
 
 @recorded
 def tail_of_log_pi(medians):
     """log π is far lower on the robot than on the maze, above all at the
-    expert's steps; at the warm-up's steps −log π is in the tens."""
+    expert's steps, where its median is −6 to −1 on the maze and −1,488 to
+    −419 on the robot; at the warm-up's steps −log π is in the tens."""
     easy, hard = medians["maze"], medians["HalfCheetah"]
     assert easy["expert"].min() > -10
     assert -20 < easy["warm-up"].min() < easy["warm-up"].max() < -5
     assert hard["expert"].max() < -200
+    ends = [
+        [round(float(x["expert"].min())), round(float(x["expert"].max()))]
+        for x in (easy, hard)
+    ]
+    assert ends == [[-6, -1], [-1_488, -419]]
     assert -100 < hard["warm-up"].min() < hard["warm-up"].max() < -15
 
 
 @recorded
 def sure_of_the_expert(runs):
-    """With the exact logit the mean logit at the expert's steps ends above
+    """With the AIRL loss the mean logit at the expert's steps ends above
     300, and that at the policy's below 0."""
-    now = [row.metrics for row in runs["exact logit"].rows[-5:]]
+    now = [row.metrics for row in runs["AIRL loss"].rows[-5:]]
     assert min(m["expert_logit"] for m in now) > 300
     assert max(m["policy_logit"] for m in now) < 0
     assert max(m["entropy"] for m in now) < 0.02
@@ -73,13 +79,13 @@ def sure_of_the_expert(runs):
 
 @recorded
 def accuracy_is_lower(runs):
-    """The exact logit's discriminator is less accurate than the others."""
+    """The AIRL loss's discriminator is less accurate than the others."""
     accuracy = {
         name: np.mean([row.metrics["accuracy"] for row in run.rows])
         for name, run in runs.items()
     }
-    assert 0.85 < accuracy["exact logit"] < 0.9
-    for name in ("DAC", "released loss", "the mixture"):
+    assert 0.85 < accuracy["AIRL loss"] < 0.9
+    for name in ("DAC", "log-ratio loss", "the mixture"):
         assert accuracy[name] > 0.97
 
 
@@ -99,7 +105,7 @@ def floor_of_the_mixture(measured):
 
 @exact
 def floor_sinks_slowly():
-    """Without a share of the warm-up the mixture is the exact logit; at
+    """Without a share of the warm-up the mixture is AIRL's logit; at
     1,000,000 steps, one percent, the floor is still −8.8."""
     foreign = torch.tensor(-1_000.0)
     assert defensive_log_density(foreign, 0.0, 6) == foreign
@@ -110,13 +116,13 @@ def floor_sinks_slowly():
 @recorded
 def patience(long, arrived):
     """In ten times as many steps the mixture stays behind DAC, and the
-    exact logit learns nothing."""
+    AIRL loss learns nothing."""
     assert all(run.steps[-1] == 200_000 for run in long.values())
     assert long["DAC"].config.learner.temperature is None
     assert arrived["the mixture"].min() > 0.55
     assert arrived["the mixture"].max() < 0.7
     assert arrived["DAC"].min() > 0.8
-    assert long["exact logit"].returns[:, 1:].max() < 0
+    assert long["AIRL loss"].returns[:, 1:].max() < 0
 
 
 @recorded
@@ -161,7 +167,7 @@ def two_changes(long, others):
 
 @recorded
 def diagnostics(HOME):
-    """On the maze, with the exact logit, the accuracy is about one half,
+    """On the maze, with the AIRL loss, the accuracy is about one half,
     replay has the higher mean logit, and the cross-entropy stays above
     2 log 2."""
     maze = records.read(HOME / "maze-imitation-demo")
@@ -181,9 +187,9 @@ def learned_rewards_rank(measured):
 
 
 @recorded
-def released_loss_at_low_temperature(HOME):
+def log_ratio_loss_at_low_temperature(HOME):
     """At α = 0.2 and with 1,000 random steps each of five seeds of the
-    released loss returns more than all five of the mixture."""
+    log-ratio loss returns more than all five of the mixture."""
     decided = {}
     for loss in ("mixture", "released"):
         path = f"what-decides-demo/HalfCheetah-{loss}-fixed-short"

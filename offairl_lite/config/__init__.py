@@ -1,8 +1,8 @@
 """What a run is, in three groups: its schedule, its learner, and its discriminator.
 
 `Config.flat` puts all settings side by side, for tables, grids and the command line; `Config.of`
-and `Config.change` take such flat names. `PAPER` is the text of the paper and `CORRECTED` the
-mathematics done right; what its released code optimises is `ablations.released.RELEASE`.
+and `Config.change` take such flat names. `PAPER` is the text of the paper, `CORRECTED` is
+the same without its slips; what its released code optimises is `ablations.released.RELEASE`.
 """
 
 from collections.abc import Iterator, Mapping
