@@ -13,6 +13,7 @@ from paper_claims import BAR
 from paper_verdicts import (
     CONFIRMED,
     CONFOUNDED,
+    COULD_NOT_FAIL,
     IN_PART,
     SEEDS,
     UNDECIDED,
@@ -54,6 +55,7 @@ COOL = "no guide, held warm-up, fixed temperature"
 
 MARKS = {
     CONFIRMED: (plots.GREEN, "●"),
+    COULD_NOT_FAIL: (plots.GREEN, "◌"),
     IN_PART: (plots.GREEN, "◐"),
     UNDECIDED: (plots.ORANGE, "○"),
     CONFOUNDED: (plots.RED, "?"),
@@ -89,13 +91,8 @@ SAYS = {
 }
 """What each claims."""
 
-LIMITS = {
-    (4, CONFIRMED): "fits, but could not fail",
-    (6, CONFIRMED): "confirmed for a short warm-up",
-}
+LIMITS = {(6, CONFIRMED): "confirmed for a short warm-up"}
 """How far a verdict reaches, where that is not everywhere."""
-OPEN = "◌"
-"""Before a claim that no number could have contradicted."""
 
 
 def _listed(names):
@@ -165,7 +162,6 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
     def box(n):
         word = VERDICTS[n]
         color, sign = MARKS[word]
-        sign = OPEN if (n, word) == (4, CONFIRMED) else sign
         verdict = f"{sign} {LIMITS.get((n, word), word)}"
         return (
             f"<details><summary><b>{n} · {NAMES[n]}:</b> {SAYS[n]}"

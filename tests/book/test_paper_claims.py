@@ -15,6 +15,7 @@ from paper_verdicts import (
     CONFIRMED,
     CONFOUNDED,
     CONTRADICTED,
+    COULD_NOT_FAIL,
     IN_PART,
     SEEDS,
     STEPS,
@@ -23,6 +24,7 @@ from paper_verdicts import (
     WORDS,
     at_plateau,
     compare,
+    could_fail,
     joined,
     large_enough,
     seen,
@@ -92,7 +94,24 @@ def test_a_claim_is_confirmed_if_all_of_its_comparisons_are():
     assert joined([CONFIRMED, UNTESTED, CONTRADICTED]) == CONTRADICTED
     assert joined([UNDECIDED, CONFOUNDED]) == CONFOUNDED
     assert joined([UNDECIDED, UNDECIDED]) == UNDECIDED
-    assert {joined([word]) for word in WORDS if word != IN_PART} == {*WORDS} - {IN_PART}
+    assert joined([CONFIRMED, CONFIRMED], can_fail=False) == COULD_NOT_FAIL
+    assert joined([CONFIRMED, UNDECIDED], can_fail=False) == IN_PART
+    of_several = {IN_PART, COULD_NOT_FAIL}
+    assert {joined([word]) for word in {*WORDS} - of_several} == {*WORDS} - of_several
+
+
+def test_only_the_claim_about_the_wall_could_not_fail():
+    """Nobody had arrived before, so nothing could have contradicted it."""
+    free = {n for n in CLAIMS if not any(map(could_fail, CLAIMS[n].comparisons))}
+    assert free == {4}
+
+
+def test_a_claim_that_seeds_arrive_can_fail_if_many_had_arrived_before(monkeypatch):
+    monkeypatch.setattr(paper_verdicts, "largest", lambda run: "full")
+    for question, first, can in (("arrives", 8, True), ("arrives", 3, False), ("varies", 8, False)):
+        found = ending(first=first)
+        monkeypatch.setattr(paper_verdicts, "recorded", lambda run, size, found=found: found)
+        assert could_fail(Comparison("", question, "run")) == can
 
 
 def test_a_curve_that_still_moves_is_at_no_plateau():
