@@ -295,7 +295,7 @@ def _dot(color: str, name: str, **look) -> Line2D:
     return Line2D([], [], color=color, label=name, **DOTS, **look)
 
 
-ARRIVES = (-15, -16)
+ARRIVES = (-14, -16)
 """Above these returns an agent is past the moved and the lower wall."""
 DOTS = {"ls": "", "marker": "o", "ms": 5, "alpha": 0.7}
 
