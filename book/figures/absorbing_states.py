@@ -189,17 +189,20 @@ def hoppers_learn(kept, long, falling, run, mode):
 
 def pays(said):
     """Return the table of what a step of life pays."""
+    trained = ("100,000 steps", "8,000 steps")
     return table(
         ("the imitator has", "a demonstrated step", "a step of its own"),
         [
             (
-                name,
+                f"{name},<br>after {steps}",
                 *(
                     f"{x.mean():+.1f}".replace("-", "−")
                     for x in both.values()
                 ),
             )
-            for name, both in said.items()
+            for (name, both), steps in zip(
+                said.items(), trained, strict=True
+            )
         ],
     )
 
