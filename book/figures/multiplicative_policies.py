@@ -5,6 +5,7 @@ import numpy as np
 import scipy.stats
 import torch
 from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 import drawing
@@ -107,8 +108,8 @@ def ellipses(compose):
         ax.plot(*mean, ".", color=looks["edgecolor"])
 
     with plots.style():
-        _fig, axes = plt.subplots(
-            1, 3, figsize=(5.6, 2.5), sharex=True, sharey=True
+        fig, axes = plt.subplots(
+            1, 3, figsize=(5.6, 3.0), sharex=True, sharey=True
         )
         walk, reach = SKILLS.values()
         gates = ([0.5, 0.5], [0.9, 0.1], [0.1, 0.9])
@@ -119,12 +120,21 @@ def ellipses(compose):
             ellipse(ax, *both, edgecolor=plots.GREEN)
             ax.set(xlim=(-2.4, 2.4), ylim=(-2.4, 2.4), aspect="equal")
             ax.set(xlabel="legs", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
-            for at, name, w, color in (
-                ((1.2, 1.3), "walk", weight[0], walk),
-                ((-2.2, -0.2), "reach", weight[1], reach),
-            ):
-                ax.text(*at, f"{name}\n{w}", color=color, linespacing=1)
+            title = f"walk {weight[0]}\nreach {weight[1]}"
+            ax.set_title(title, linespacing=1.3)
         axes[0].set_ylabel("arm")
+        keys = [
+            Line2D([], [], color=color, ls=line, label=name)
+            for name, color, line in (
+                ("walk", walk, ":"),
+                ("reach", reach, "--"),
+                ("their product", plots.GREEN, "-"),
+            )
+        ]
+        look = {"frameon": False, "handlelength": 1.6}
+        fig.legend(
+            handles=keys, loc="outside lower center", ncols=3, **look
+        )
         plt.show()
 
 
@@ -264,7 +274,9 @@ def gate_and_primitives(parts, policy, weight, x, y):
         ax.set_axis_off()
 
     with plots.style():
-        fig, axes = plt.subplot_mosaic("01;23;pp", figsize=(4.9, 7.4))
+        # The product in the middle of the right side.
+        places = "01.;01p;23p;23."
+        fig, axes = plt.subplot_mosaic(places, figsize=(5.4, 4.6))
         maps = [axes[name] for name in "0123"]
         for k, ax in enumerate(maps):
             shares = weight[:, k].reshape(x.shape)
@@ -276,9 +288,17 @@ def gate_and_primitives(parts, policy, weight, x, y):
             ax.set_title(f"primitive {k + 1}")
         arrows(axes["p"], torch.tanh(product[0]).numpy(), plots.BLUE)
         axes["p"].set_title("their product")
-        below = {"location": "bottom", "shrink": 0.6, "extend": "max"}
+        below = {
+            "location": "bottom",
+            "shrink": 0.6,
+            "extend": "max",
+            "aspect": 30,
+        }
         fig.colorbar(
-            image, ax=maps, label="weight of primitives 1 to 4", **below
+            image,
+            ax=[*axes.values()],
+            label="weight of primitives 1 to 4",
+            **below,
         )
         plt.show()
 
