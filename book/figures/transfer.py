@@ -287,20 +287,20 @@ def _seeds(count, of):
 
 
 def _tables(*parts, folded=False):
-    """Return tables, each below the sentence that it shows.
+    """Return tables, each below the sentence that it shows, and its runs.
 
     If `folded`, a reader opens the last one with a click on its sentence.
     """
     texts = [
-        f'<p style="margin: 1.5rem 0 0.5rem"><b>{message}</b></p>'
-        f"{shown.data}"
-        for message, shown in parts
+        f'<p style="margin: 1.5rem 0 0.5rem"><b>{message}</b><br>'
+        f"{about}</p>{shown.data}"
+        for message, about, shown in parts
     ]
     if folded:
-        message, shown = parts[-1]
+        message, about, shown = parts[-1]
         texts[-1] = (
             f"<details><summary><b>{message}</b></summary>"
-            f"{shown.data}</details>"
+            f"<p>{about}</p>{shown.data}</details>"
         )
     return HTML("".join(texts))
 
@@ -322,6 +322,8 @@ def starts(counts):
     return _tables(
         (
             "After held steps all arrive but the gate alone.",
+            "Small networks, 8,000 steps. Read down only the held column: "
+            "the fresh warm-ups differ in length.",
             table(heads, rows),
         )
     )
@@ -341,6 +343,8 @@ def guides(counts):
     return _tables(
         (
             "An expert of the new maze is the best guide.",
+            "The paper's networks, ten seeds, 40,000 steps, the first 100 "
+            "of them fresh.",
             table(["guide", *heads], rows),
         )
     )
@@ -414,10 +418,13 @@ def where_rewards_lead(found, blamed, backwards):
     return _tables(
         (
             "After held steps: the reward decides.",
+            "Five rewards of each kind, two small policies on each, 8,000 "
+            "steps.",
             table([*heads, CAUGHT], held),
         ),
         (
             "After fresh steps hardly any arrive, even on the true reward.",
+            "3,000 fresh steps from scratch, 100 from the old policy.",
             table(heads, fresh),
         ),
         folded=True,
