@@ -234,11 +234,11 @@ def full_size(at_full_size, plain):
     rows = []
     for name, end in at_full_size.items():
         points = [5 * x for x in difference(end, plain)]  # 20 are 100 %
-        between = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*points)
+        between = "{:+.1f} [{:+.1f},\xa0{:+.1f}]".format(*points)
         mean = drawing.percent(interquartile_mean(end))
         between = between.replace("-", "−") if end is not plain else ""
         rows.append((name, mean, between))
-    head = ("actor", "score<br>(interquartile mean)", "difference [95 %]")
+    head = ("actor", "score<br>(interquartile mean)", "difference [95\xa0%]")
     return drawing.table(head, rows)
 
 

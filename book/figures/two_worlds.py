@@ -115,7 +115,7 @@ def pairs(rows: Mapping[str, Sequence]) -> HTML:
             (
                 name,
                 str(free),
-                *(f"{100 * x:z.0f} %".replace("-", "−") for x in scores),
+                *(f"{100 * x:z.0f}\xa0%".replace("-", "−") for x in scores),
             )
             for name, (free, _, *scores) in rows.items()
         ],
