@@ -109,7 +109,7 @@ def ellipses(compose):
 
     with plots.style():
         fig, axes = plt.subplots(
-            1, 3, figsize=(5.6, 3.0), sharex=True, sharey=True
+            1, 3, figsize=(4.8, 2.8), sharex=True, sharey=True
         )
         walk, reach = SKILLS.values()
         gates = ([0.5, 0.5], [0.9, 0.1], [0.1, 0.9])
@@ -119,7 +119,7 @@ def ellipses(compose):
             both = compose(mean, std, np.array(weight))
             ellipse(ax, *both, edgecolor=plots.GREEN)
             ax.set(xlim=(-2.4, 2.4), ylim=(-2.4, 2.4), aspect="equal")
-            ax.set(xlabel="legs", xticks=(-2, 0, 2), yticks=(-2, 0, 2))
+            ax.set(xlabel="legs", xticks=(-1, 1), yticks=(-1, 1))
             title = f"walk {weight[0]}\nreach {weight[1]}"
             ax.set_title(title, linespacing=1.3)
         axes[0].set_ylabel("arm")
@@ -238,7 +238,8 @@ def full_size(at_full_size, plain):
         mean = drawing.percent(interquartile_mean(end))
         between = between.replace("-", "−") if end is not plain else ""
         rows.append((name, mean, between))
-    head = ("actor", "score<br>(interquartile mean)", "difference [95\xa0%]")
+    score = "score<br>(interquartile mean)"
+    head = ("actor", score, "difference [95\xa0%]")
     return drawing.table(head, rows)
 
 
