@@ -1,12 +1,12 @@
-"""Why the exact logit fails on HalfCheetah: remove one cause at a time.
+"""Why the exact logit fails on two robots: remove one cause at a time.
 
 All runs are the benchmark's recipe on fifty demonstrations of the strongest
 expert, with five seeds and 50,000 steps, but for the discriminator's logit.
 `log-ratio` is the recipe, `exact` is AIRL's f - log π, and each other run
 is `exact` with one change. A run takes five to fifteen minutes of a core.
 What is done is kept in a temporary folder, so that an interrupted recording
-goes on where it was. With EXACT_LOGIT="clip -10;last 1,000" only these are
-trained, and the others are left as they are recorded.
+goes on where it was. With EXACT_LOGIT="Walker2d/exact;Walker2d/clip -10"
+only these are trained, and the others are left as they are recorded.
 """
 
 import json
@@ -34,10 +34,8 @@ from offairl_lite.core.replay import Batch
 from offairl_lite.runs.records import read_json, write_json
 from rollouts import KEPT
 
+ROBOTS = ("HalfCheetah", "Walker2d")
 SEEDS = tuple(range(5))
-RECIPE = experiments.configure("benchmark/HalfCheetah-airl", "demo")
-RECIPE = RECIPE.change(total_steps=50_000)
-EXACT = RECIPE.change(loss="airl")
 ACTOR_EVERY = 2_000
 """Steps between the actors whose mean is the density of the replay."""
 
@@ -104,31 +102,34 @@ def density(
     return replace(experience, log_density=log_mu)
 
 
-def cases() -> dict[str, tuple[Config, Change]]:
-    """Return the runs, by the name under which they are kept."""
+def cases(robot: str) -> dict[str, tuple[Config, Change]]:
+    """Return a robot's runs, by the name under which they are kept."""
+    recipe = experiments.configure(f"benchmark/{robot}-airl", "demo")
+    recipe = recipe.change(total_steps=50_000)
+    exact = recipe.change(loss="airl")
     return {
-        "log-ratio": (RECIPE, nothing),
-        "exact": (EXACT, nothing),
+        "log-ratio": (recipe, nothing),
+        "exact": (exact, nothing),
         **{
             f"penalty {weight:g}": (
-                EXACT.change(gradient_penalty=weight),
+                exact.change(gradient_penalty=weight),
                 nothing,
             )
             for weight in (1, 0.1, 0)
         },
         **{
-            f"clip {least}": (EXACT, partial(clip, least))
+            f"clip {least}": (exact, partial(clip, least))
             for least in (-10, -20)
         },
         **{
-            f"last {steps:,}": (EXACT, partial(last, steps))
+            f"last {steps:,}": (exact, partial(last, steps))
             for steps in (1_000, 10_000)
         },
-        "density of the replay": (EXACT, partial(density, [])),
-        "temperature 1.2": (EXACT.change(temperature=1.2), nothing),
+        "density of the replay": (exact, partial(density, [])),
+        "temperature 1.2": (exact.change(temperature=1.2), nothing),
         **{
             f"temperature 1.2, penalty {weight:g}": (
-                EXACT.change(temperature=1.2, gradient_penalty=weight),
+                exact.change(temperature=1.2, gradient_penalty=weight),
                 nothing,
             )
             for weight in (0.1, 0)
@@ -136,13 +137,13 @@ def cases() -> dict[str, tuple[Config, Change]]:
     }
 
 
-def run(name: str) -> dict[str, Any]:
+def run(robot: str, name: str) -> dict[str, Any]:
     """Train one population; return its curve and how it ended.
 
     `spread` is the standard deviation of r over the replay, and `tail` the
     log π below which one in a hundred of the replay's actions lies.
     """
-    config, change = cases()[name]
+    config, change = cases(robot)[name]
     shown = demonstrations.load(config.env_id, 50, experts="best")
     execution = Execution(compile=config.total_steps >= 50_000)
     trainer = Changed(config, SEEDS, shown, execution=execution)
@@ -167,15 +168,19 @@ def record() -> dict[str, Any]:
     torch.set_num_threads(1)
     folder = Path(tempfile.gettempdir()) / "offairl-exact-logit"
     folder.mkdir(exist_ok=True)
-    wanted = os.environ.get("EXACT_LOGIT")
-    there = KEPT / "exact_logit.json"
-    recorded = json.loads(there.read_text("utf-8")) if wanted else {}
-    for name in cases():
-        path = folder / f"{name}.json"
-        if wanted and name not in wanted.split(";"):
-            continue
-        if not path.is_file():
-            write_json(path, run(name))
-            print(f"{name}: done", flush=True)
-        recorded[name] = read_json(path)
-    return {name: recorded[name] for name in cases() if name in recorded}
+    wanted = os.environ.get("EXACT_LOGIT", "").split(";")
+    there = json.loads((KEPT / "exact_logit.json").read_text("utf-8"))
+    found: dict[str, Any] = {}
+    for robot in ROBOTS:
+        found[robot] = {}
+        for name in cases(robot):
+            place = f"{robot}/{name}"
+            path = folder / f"{place.replace('/', ', ')}.json"
+            if wanted == [""] or place in wanted:
+                if not path.is_file():
+                    write_json(path, run(robot, name))
+                    print(f"{place}: done", flush=True)
+                found[robot][name] = read_json(path)
+            elif name in there[robot]:
+                found[robot][name] = there[robot][name]
+    return found
