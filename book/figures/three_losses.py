@@ -6,8 +6,8 @@ import matplotlib.pyplot as plt
 
 from offairl_lite.analysis import plots
 
-EXPERT = 9_947
-"""What HalfCheetah's expert returns without noise."""
+EXPERTS = {"HalfCheetah": 9_947, "Walker2d": 4_545}
+"""What each robot's expert returns without noise."""
 CAUSES = {
     "log-ratio": ("the log-ratio loss", plots.BLUE),
     "exact": ("the AIRL loss", plots.RED),
@@ -25,19 +25,25 @@ CAUSES = {
 }
 
 
-def causes(robot: Mapping[str, Mapping]) -> None:
+def causes(robots: Mapping[str, Mapping]) -> None:
     """Draw how each run ends, and its best evaluation, in percent."""
-    rows = {name: robot[name] for name in CAUSES if name in robot}
+    rows = [name for name in CAUSES if name in robots["HalfCheetah"]]
     with plots.style():
-        _, ax = plt.subplots(figsize=(5.4, 0.42 * len(rows) + 0.6))
-        for y, (name, run) in enumerate(rows.items()):
-            color = CAUSES[name][1]
-            returns = 100 * run["returns"] / EXPERT
-            ax.plot(returns[:, -1], [y] * 5, "o", color=color, alpha=0.7)
-            ax.plot(returns.max(), y, "|", color=color, ms=11, mew=1.5)
-        ax.axvline(0, color=plots.GREY, lw=0.8)
-        names = [CAUSES[name][0] for name in rows]
-        ax.set_yticks(range(len(rows)), names)
-        ax.set(ylim=(len(rows) - 0.5, -0.6), xlabel="% of the expert")
-        ax.grid(visible=False, axis="y")
+        _, axes = plt.subplots(
+            1, 2, figsize=(6.2, 0.36 * len(rows) + 0.9), sharey=True
+        )
+        for ax, (robot, runs) in zip(axes, robots.items(), strict=True):
+            for y, name in enumerate(rows):
+                if name not in runs:
+                    continue
+                color = CAUSES[name][1]
+                returns = 100 * runs[name]["returns"] / EXPERTS[robot]
+                look = {"color": color, "mew": 1.5}
+                ax.plot(returns[:, -1], [y] * 5, "o", alpha=0.7, **look)
+                ax.plot(returns.max(), y, "|", ms=11, **look)
+            ax.axvline(0, color=plots.GREY, lw=0.8)
+            ax.set(title=robot, xlabel="% of the expert")
+            ax.grid(visible=False, axis="y")
+        axes[0].set_yticks(range(len(rows)), [CAUSES[x][0] for x in rows])
+        axes[0].set(ylim=(len(rows) - 0.5, -0.6))
         plt.show()
