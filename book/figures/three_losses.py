@@ -30,7 +30,7 @@ def causes(robots: Mapping[str, Mapping]) -> None:
     rows = [name for name in CAUSES if name in robots["HalfCheetah"]]
     with plots.style():
         _, axes = plt.subplots(
-            1, 2, figsize=(6.2, 0.36 * len(rows) + 0.9), sharey=True
+            1, 2, figsize=(5.4, 0.36 * len(rows) + 0.9), sharey=True
         )
         for ax, (robot, runs) in zip(axes, robots.items(), strict=True):
             for y, name in enumerate(rows):
