@@ -27,10 +27,10 @@ GRID = "what-decides-demo"
 OTHERS = "decides-gpu-demo"  # on other demonstrations of CustomAnt
 RECIPE = "released-fixed-short"
 LOSSES = {
-    "released": "released",
+    "released": "log-ratio loss",
     "dac": "DAC",
     "mixture": "mixture",
-    "exact": "exact logit",
+    "exact": "AIRL loss",
 }
 TEMPERATURES = {"fixed": "α = 0.2", "learned": "α learned", "one": "α = 1"}
 WARMUPS = {"short": "1,000", "long": "10,000"}
@@ -116,6 +116,7 @@ def draw_rows(
     rows: Mapping[str, Mapping[str, Sequence[tuple[Ends | None, str]]]],
     height: float = 0.3,
     robots: Sequence[str] = ROBOTS,
+    columns: int = 0,
 ) -> tuple[Figure, Sequence[Axes]]:
     """Draw a dot for each seed and a bar for the median.
 
@@ -123,10 +124,18 @@ def draw_rows(
         rows: for each setting and robot its runs, each with its colour.
         height: of a row, in inches.
         robots: the panels.
+        columns: how many panels stand in a row; all, if 0.
     """
-    size = (7.4, 1.2 + height * len(rows))
-    fig, axes = plt.subplots(1, len(robots), figsize=size, sharey=True)
-    for ax, robot in zip(axes, robots, strict=True):
+    columns = columns or len(robots)
+    lines = -(-len(robots) // columns)
+    size = (min(7.4, 2.7 * columns), 1.2 + height * len(rows) * lines)
+    fig, grid_of = plt.subplots(
+        lines, columns, figsize=size, sharey=True, squeeze=False
+    )
+    axes = list(grid_of.flat)
+    for ax in axes[len(robots) :]:
+        ax.axis("off")
+    for ax, robot in zip(axes[: len(robots)], robots, strict=True):
         for y, panels in enumerate(rows.values()):
             arms = panels[robot]
             for arm, (ends, color) in enumerate(arms):
