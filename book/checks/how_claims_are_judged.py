@@ -6,7 +6,8 @@ import numpy as np
 
 from checks import exact, recorded
 from offairl_lite.analysis.statistics import compare_successes, success_rate
-from paper_verdicts import SEEDS
+from paper_claims import BAR
+from paper_verdicts import CONFIRMED, COULD_NOT_FAIL, SEEDS, at_plateau
 from paper_verdicts import recorded as record
 
 
@@ -46,6 +47,50 @@ def claim_4_has_wilsons_interval(FOUND):
     assert np.allclose(
         FOUND[4][0].effect[0], success_rate(np.arange(10) < 8)
     )
+
+
+@recorded
+def first_and_second_example(changed, FOUND):
+    """Three pairs differ. On CustomAnt Implementation 4 is 28 (−2 to 59)
+    above 3 and 153 (79 to 268) above 1, with three small networks."""
+    assert changed.sum() == 3
+    one, _, three = FOUND[1]
+    assert [round(x) for x in one.effect] == [153, 79, 268]
+    assert [round(x) for x in three.effect] == [28, -2, 59]
+    assert (one.seen, three.seen) == ("as claimed", "unclear")
+    assert one.scale.startswith("small, 3 ×")
+    assert three.scale.startswith("small, 3 ×")
+
+
+@recorded
+def claim_6_is_confirmed_for_some_steps(FOUND, VERDICTS):
+    """Nobody arrives with the gate alone in 30,000 and 15,000 steps, with
+    no temperature that runs away, and claim 6 is confirmed by that."""
+    assert VERDICTS[6] == CONFIRMED
+    assert [found.scale for found in FOUND[6]] == [
+        "paper-size, 10 × 30k",
+        "paper-size, 10 × 15k",
+    ]
+    assert all(found.effect[0][0] == 0 for found in FOUND[6])
+    assert all(found.runaways == 0 for found in FOUND[6])
+
+
+@recorded
+def claim_4_could_not_fail(VERDICTS):
+    """At the first evaluation of the old policies no seed had arrived."""
+    assert VERDICTS[4] == COULD_NOT_FAIL
+    old = record("maze-retraining/policy", "full")
+    assert (old.returns[:, 0] > BAR).sum() == 0
+
+
+@recorded
+def an_old_policy_left_a_plateau():
+    """An old policy was at a plateau before its eighth seed arrived."""
+    old = record("maze-retraining/policy", "full")
+    kept = old.steps <= 52_500
+    assert at_plateau(old, 52_500)
+    assert (old.returns[:, kept][:, -1] > BAR).sum() == 7
+    assert (old.returns[:, -1] > BAR).sum() == 8
 
 
 @recorded
