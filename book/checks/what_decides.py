@@ -64,10 +64,20 @@ def at_0_2_the_exact_logit_fails(percent):
 
 
 @recorded
-def the_recipe_moves_all_robots(percent):
-    """The recipe's worst seeds are at 101, 49, 59 and 46 %."""
+def only_the_recipe_moves_all_robots(percent):
+    """The recipe's worst seeds are at 101, 49, 59 and 46 %. All other
+    settings have one at 24 % or below, the best of them DAC with the same
+    temperature and random steps."""
     worst = [percent[f"{robot}-{RECIPE}"].min() for robot in ROBOTS]
     assert _rounded(worst) == [101, 49, 59, 46]
+    settings = {name.split("-", 1)[1] for name in percent}
+    least = {
+        each: min(percent[f"{robot}-{each}"].min() for robot in ROBOTS)
+        for each in settings
+    }
+    *_, second, first = sorted(least, key=least.__getitem__)
+    assert (first, second) == (RECIPE, "dac-fixed-short")
+    assert round(least[second]) == 24
 
 
 @recorded
