@@ -17,11 +17,26 @@ import rollouts  # noqa: E402
 kept = rollouts.read("killed")
 with plots.style():
     plt.rcParams["svg.hashsalt"] = "killed"
-    fig, axes = plt.subplots(
-        2, 1, figsize=(5.4, 4.8), sharex=True, height_ratios=(5, 4)
+    fig, (lives, curves) = plt.subplots(
+        2, 1, figsize=(5.4, 4.8), sharex=True, height_ratios=(4, 5)
     )
-    top, low = axes
-    steps = kept["steps"]
+    begins, ends = zip(*kept["lives"], strict=True)
+    for y, (begin, end) in enumerate(kept["lives"], 1):
+        saved = begins[y] if y < len(begins) else end
+        whole = {"lw": 7, "solid_capstyle": "butt", "color": plots.BLUE}
+        lives.plot([begin, saved], [y, y], **whole)
+        lives.plot([saved, end], [y, y], alpha=0.3, **whole)
+        if y < len(begins):
+            lives.plot(end, y, "X", color=plots.RED, ms=11, mec="white")
+            lives.plot([saved] * 2, [y, y + 1], color=plots.BLUE, lw=1)
+    lives.plot(ends[-1], len(ends), "*", color=plots.STAR, ms=15)
+    names = [f"life {n}" for n in range(1, len(ends) + 1)]
+    lives.set_yticks(range(1, len(names) + 1), names)
+    lives.set_ylim(len(names) + 0.6, 0.4)
+    lives.tick_params(length=0)
+    lives.grid(visible=False)
+    for side in lives.spines.values():
+        side.set_visible(False)
     for i, (alone, killed) in enumerate(
         zip(kept["alone"], kept["killed"], strict=True)
     ):
@@ -29,20 +44,10 @@ with plots.style():
             ("left alone", "killed five times") if not i else (None,) * 2
         )
         wide = {"color": plots.ORANGE, "lw": 8, "alpha": 0.4}
-        top.plot(steps, alone, label=names[0], **wide)
-        top.plot(
-            steps, killed, ".-", color=plots.BLUE, label=names[1], lw=1
-        )
-    top.set(ylabel="return of three seeds", ylim=(-30, -5))
-    top.legend(loc="lower right")
-    *died, last = kept["lives"]
-    for y, (begin, end) in enumerate(kept["lives"], 1):
-        low.plot([begin, end], [y, y], color=plots.BLUE, lw=5, alpha=0.6)
-    for y, (_, end) in enumerate(died, 1):
-        low.plot(end, y, "X", color=plots.RED, ms=11, mec="white")
-    low.plot(last[1], len(died) + 1, "*", color=plots.STAR, ms=15)
-    names = [f"life {n}" for n in range(1, len(kept["lives"]) + 1)]
-    low.set_yticks(range(1, len(names) + 1), names)
-    low.set(ylim=(len(names) + 0.6, 0.4), xlabel="steps")
-    low.set_xlim(0, 6200)
+        curves.plot(kept["steps"], alone, label=names[0], **wide)
+        thin = {"color": plots.BLUE, "lw": 1, "label": names[1]}
+        curves.plot(kept["steps"], killed, ".-", **thin)
+    curves.set(xlabel="steps", ylabel="return of three seeds")
+    curves.set(xlim=(2500, 6200), ylim=(-30, -5))
+    curves.legend(loc="lower right")
     fig.savefig(BOOK / "_static/killed.svg", metadata={"Date": None})
