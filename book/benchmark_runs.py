@@ -203,12 +203,15 @@ def planned() -> set[tuple[str, str, str]]:
 def filled(cells: Cells) -> str:
     """Say how many cells there are, of how many."""
     wanted, there = planned(), set(cells)
+    rows = {(block, method) for block, _, method in wanted & there}
+    more = sum(len(found[2]) for row in rows if (found := row_beside(*row)))
     text = (
-        f"{len(wanted & there)} of {len(wanted)} cells of the tables are "
-        "filled."
+        f"{len(wanted & there)} of {len(wanted)} cells of the plan are "
+        f"filled, and {more} more, in rows with another setting."
     )
     if wanted - there:
-        text += " The rest have not been run yet."
+        blocks = {BLOCKS[block] for block, *_ in wanted - there}
+        text += f" Not run yet: {'; '.join(sorted(blocks))}."
     lost = sum(cell.diverged for cell in cells.values())
     if lost:
         text += f" Seeds that diverged count as 0 %: {lost}."
