@@ -79,6 +79,8 @@ def test_the_ledger_has_all_that_the_release_preset_switches():
             named.add(found(group).renamed.get(name, name))
     # A learner and an ablation are chosen by the types of their settings.
     assert set(differences(CORRECTED, RELEASE)) - {"learner", "ablation"} <= named
+    assert len(differences(CORRECTED, RELEASE)) == 12
+    assert "In twelve." in TABLES["from_paper_to_code"]
     assert {type(RELEASE.learner), type(RELEASE.discriminator)} <= groups
 
 

@@ -171,6 +171,15 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
         assert (int(means[2]) > int(means[1])) == ("Ant" not in robot)
         returns = records.read_json(demonstrations.EXPERTS / f"{robot}.json")["returns"]
         assert max(returns) > returns[0]
+    of_one = benchmark_runs.average(cells, "1", "clone")
+    clones = " | ".join(f"{mean:.0f}" for mean in (of_one, four, ten, twenty, fifty))
+    assert f"| a clone | {clones} |" in PAGE
+    own = [f"{benchmark_runs.average(cells, n, 'airl'):.0f}" for n in ("1", "4", "50")]
+    assert f"| the recipe | {own[0]} | {own[1]} | – | – | {own[2]} |" in PAGE
+    order = ("Hopper", "CustomAnt", "HalfCheetah", "Ant", "Walker2d")
+    ends = [benchmark_runs.summary(cells["4", robot, "airl"].ends).mean for robot in order]
+    said = "Hopper to {:.0f} %, CustomAnt to {:.0f}, HalfCheetah to {:.0f}, Ant to {:.0f}"
+    assert f"{said} and Walker2d to {{:.0f}}.".format(*ends) in text
     worst = cells["4", "HalfCheetah", "airl-warm"].ends.min()
     assert f"One of HalfCheetah's five runs ended at {worst:.0f} %" in text
 
