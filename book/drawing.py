@@ -49,6 +49,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> HTML:
             return f"<tr>{group}{first}</th></tr>"
         right = f'<{tag} style="text-align: right">'
         numbers = "".join(f"{right}{cell}</{tag}>" for cell in rest)
+        numbers = numbers.replace(" %", "&nbsp;%")  # in one line
         return f"<tr><{tag}>{first}</{tag}>{numbers}</tr>"
 
     body = line(head, "th") + "".join(line(row, "td") for row in rows)

@@ -74,6 +74,15 @@ def tell_boxes_apart(app, doctree):
             box["classes"].append(looks[first])
 
 
+def keep_percentages_together(app, doctree):
+    """Let no line end between a number and its percent sign."""
+    code = nodes.literal, nodes.FixedTextElement, nodes.raw
+    for text in [*doctree.findall(nodes.Text)]:
+        whole = re.sub(r"(?<=\d) (?=%)", "\u00a0", text)
+        if whole != text and not isinstance(text.parent, code):
+            text.parent.replace(text, nodes.Text(whole))
+
+
 def make_offline(app, exception):
     """Leave out what needs a server: pages are opened as files."""
     for page in Path(app.outdir).rglob("*.html"):
@@ -133,5 +142,6 @@ def setup(app):
     app.connect("config-inited", need_an_address, priority=100)
     app.connect("build-finished", make_offline)
     app.connect("doctree-read", tell_boxes_apart)
+    app.connect("doctree-read", keep_percentages_together)
     app.connect("build-finished", draw_for_dark_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
