@@ -133,8 +133,8 @@ def evidence(arrived, FOUND, recipe, step, larger):
     four, gate_of_eight = (c.scale.split("× ")[1] for c in FOUND[6])
     EVIDENCE = {
         4: f"{early.sum()} of {SEEDS} old policies arrive within 40,000 "
-        f"steps, {arrived(4)[0]} within 100,000; no number could have "
-        "contradicted this claim",
+        f"steps, {arrived(4)[0]} within 100,000; under our rule no number "
+        "could have contradicted this claim",
         6: f"no gate of ten arrives over four primitives ({four} steps), "
         f"and none over eight ({gate_of_eight}). After another warm-up? "
         "Bet in the section on the maze",
