@@ -374,7 +374,7 @@ def no_ant_walks_with_older_settings():
 
 
 @recorded
-def who_arrives(maze, WAYS, HELP, COOL):
+def who_arrives(maze, WAYS, HELP, HELD, COOL):
     """From scratch all ten seeds arrive, and the gate alone needs help."""
     assert all(len(seeds) == SEEDS for seeds in maze.values())
     rows = [(way, helped) for way in [*WAYS][1:] for helped in HELP]
@@ -382,6 +382,7 @@ def who_arrives(maze, WAYS, HELP, COOL):
     assert {key: int(seeds.sum()) for key, seeds in maze.items()} == {
         ("from scratch", "no guide"): 10,
         **dict(zip(rows, counts, strict=True)),
+        ("gate alone, 8", HELD): 1,
         ("gate alone, 8", COOL): 7,
     }
 

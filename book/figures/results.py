@@ -50,12 +50,13 @@ HELP = {
         "D",
     ),
 }
+HELD = "no guide, held warm-up"
 COOL = "no guide, held warm-up, fixed temperature"
 
 
 MARKS = {
     CONFIRMED: (plots.GREEN, "●"),
-    COULD_NOT_FAIL: (plots.GREEN, "◌"),
+    COULD_NOT_FAIL: (plots.GREY, "◌"),
     IN_PART: (plots.GREEN, "◐"),
     UNDECIDED: (plots.ORANGE, "○"),
     CONFOUNDED: (plots.RED, "?"),
@@ -412,6 +413,7 @@ def arrivals(maze):
     }
     first = next(iter(panels))
     held = "gate alone, held,\nfixed temperature"
+    panels[first]["gate alone, held"] = maze["gate alone, 8", HELD]
     panels[first][held] = maze["gate alone, 8", COOL]
     rows = [len(panel) for panel in panels.values()]
     with plots.style():
