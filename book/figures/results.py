@@ -140,8 +140,8 @@ def evidence(arrived, FOUND, recipe, step, larger):
         f"and none over eight ({gate_of_eight}). After another warm-up? "
         "Bet in the section on the maze",
         7: f"{eight} of {SEEDS} arrive with eight primitives, {sac} with "
-        "SAC; with ten seeds most differences in variance are beyond "
-        "telling",
+        "SAC. That is what we tested; a difference in variance ten seeds "
+        "can hardly show",
         8: "if an expert of the new maze takes the first steps, "
         f"{guided} of {SEEDS} arrive instead of {alone} with primitives, "
         f"and {gate} instead of {gate_alone} with a gate of eight; with "
