@@ -18,6 +18,7 @@ from paper_verdicts import (
     compare,
     runaways,
     seen,
+    whole,
 )
 from paper_verdicts import recorded as run_of
 from paper_words import hours, missing, out_of_bounds
@@ -385,6 +386,14 @@ def who_arrives(maze, WAYS, HELP, HELD, COOL):
         ("gate alone, 8", HELD): 1,
         ("gate alone, 8", COOL): 7,
     }
+
+
+@recorded
+def seeds_that_overflowed():
+    """The temperature overflowed in one of the ten gates alone that the
+    imitator guides, and in four over four primitives."""
+    runs = [run_of(f"{MAZE}{k}-gate-own-starts", "full") for k in (8, 4)]
+    assert [SEEDS - whole(run).sum() for run in runs] == [1, 4]
 
 
 @recorded
