@@ -296,6 +296,19 @@ def test_toys_fit_a_phone_and_a_dark_page(opened):
     dark.wait_for_function(f"{paper} !== '{light.evaluate(paper)}'")
 
 
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_low_reward_is_dark_on_every_page(opened, theme):
+    view = opened("drawn_maze", theme=theme)
+    view.wait_for_timeout(300)
+    pixel = """([across, up]) => {
+      const canvas = document.querySelector(".toy canvas"), {width, height} = canvas;
+      const place = [Math.round(across * width), Math.round((1 - up) * height), 1, 1];
+      return [...canvas.getContext("2d").getImageData(...place).data].slice(0, 3);
+    }"""
+    corner, goal = (sum(view.evaluate(pixel, at)) for at in ([0.04, 0.04], [0.53, 0.91]))
+    assert corner < 200 < 400 < goal
+
+
 def test_two_toys_on_a_page_are_each_started_once(opened):
     view = opened("walls", "walls")
     assert view.evaluate("toys.all.length") == 2

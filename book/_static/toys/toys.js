@@ -236,6 +236,7 @@ window.toys = window.toys || (() => {
         [pane.w, pane.h] = [w, h];
         ctx.setTransform(sharp, 0, 0, sharp, 0, 0);
         ctx.clearRect(0, 0, w, h);
+        // A map is dark on every page; its frame, and words beside it, are on the page.
         draw(ctx, w, h, scale ? {...DARK, frame: this.colour.frame} : this.colour);
       }};
       new ResizeObserver(() => this.redraw()).observe(canvas);

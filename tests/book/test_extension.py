@@ -1,8 +1,10 @@
-"""Figures on dark pages: curves are drawn light on dark, maps keep their colours."""
+"""What the book asks of Sphinx: figures on dark pages, and numbers that keep their unit."""
 
 import importlib.util
 from pathlib import Path
 from types import SimpleNamespace
+
+from docutils import nodes
 
 PATH = Path(__file__).parents[2] / "book/_ext/book.py"
 spec = importlib.util.spec_from_file_location("book_extension", PATH)
@@ -26,3 +28,11 @@ def test_figures_get_a_dark_form_once(tmp_path):
     assert turned in curve
     assert turned not in maze
     assert "image { filter: brightness" in maze
+
+
+def test_a_number_keeps_its_percent_sign_but_code_stays_as_it_is():
+    words = nodes.paragraph("", "from 7 % to 9 %, ", nodes.literal("", "7 % 3"))
+    code = nodes.literal_block("", "7 % 3")
+    extension.keep_percentages_together(None, nodes.section("", words, code))
+    assert words.astext() == "from 7\u00a0% to 9\u00a0%, 7 % 3"
+    assert code.astext() == "7 % 3"
