@@ -203,8 +203,9 @@ def without_it_they_fall(falling, kept):
     steps. After 100,000 four still do, within about eight steps, and one of
     them stood for a while in between; the fifth stays up for about a
     hundred steps."""
-    at_8_000 = falling.returns[:, falling.steps == 8_000]
-    assert at_8_000.max() < 20
+    assert kept["short"]["without"]["steps"][-1] == 8_000
+    assert kept["short"]["without"]["returns"][:, -1].max() < 20
+    assert falling.returns[:, falling.steps == 8_000].max() < 20
     assert falling.returns[:4, -1].max() < 20
     assert 190 < falling.returns[4, -1] < 195
     stood = falling.returns.max(1) > 1_000
@@ -220,7 +221,7 @@ def with_it_they_hop(long, kept):
     begun to hop, but return less than the 1,000 of standing still. After
     100,000 all five return more than 2,000. A seed returns 2,717 at 20,000
     steps and 272 at 30,000."""
-    begun = kept["short"]["returns"][:, -1]
+    begun = kept["short"]["with"]["returns"][:, -1]
     assert begun.min() > 100
     assert begun.max() < 1_000
     assert long.returns[:, -1].min() > 2_000
@@ -240,14 +241,14 @@ def yours_stays_up(run, falling):
 
 @recorded
 def what_a_step_pays(kept, falling):
-    """Without an absorbing state a demonstrated step pays, and a step of
-    the imitator's own costs; with it, both pay more than the end does."""
+    """After 8,000 steps without an absorbing state a demonstrated step
+    pays, and a step of the imitator's own costs, in every seed; with it,
+    both pay more than the end does."""
     without, known = kept["pays"]["without"], kept["pays"]["with"]
-    assert without["own"][:4].max() < -3
-    assert without["own"].max() < 0
+    assert without["own"].max() < -2
     assert without["demonstrated"].min() > 1
     assert known["demonstrated"].mean() > 1
-    assert known["own"].mean() > 0
+    assert known["own"].min() > 0
     life = 1 / (1 - falling.config.learner.discount)
     assert math.isclose(life, 100)
 

@@ -9,6 +9,10 @@ import plots
 from drawing import diagram, film, table
 from offairl_lite import envs
 
+PAIR = ("with", "without")
+LOOKS = ((plots.BLUE, "-"), (plots.RED, "--"))
+"""Imitators with and without an absorbing state, and their lines."""
+
 
 def hoppers(kept, FRAMES):
     """Return a film of an expert and of two imitators."""
@@ -152,20 +156,19 @@ def two_targets(k, learned, predicted, R_T):
 def hoppers_learn(kept, long, falling, run, mode):
     """Draw the returns with and without an absorbing state."""
 
-    def curves(ax, steps, returns, color, line, until=100_000):
-        early = steps <= until
-        steps, returns = steps[early] / 1_000, returns[:, early]
+    def curves(ax, steps, returns, color, line):
+        steps = steps / 1_000
         ax.plot(steps, returns.T, line, color=color, alpha=0.4, lw=0.9)
         ax.plot(steps, returns.mean(0), line, color=color, lw=2.2)
 
     with plots.style():
         fig, axes = plt.subplots(2, 1, figsize=(4.8, 6.6))
         fig.get_layout_engine().set(h_pad=0.1)
-        recorded = (kept["short"].values(), (long.steps, long.returns))
-        for ax, (steps, returns) in zip(axes, recorded, strict=True):
-            curves(ax, steps, returns, plots.BLUE, "-")
-            no_end = (plots.RED, "--", steps[-1])
-            curves(ax, falling.steps, falling.returns, *no_end)
+        short = [kept["short"][name].values() for name in PAIR]
+        whole = [(run.steps, run.returns) for run in (long, falling)]
+        for ax, pair in zip(axes, (short, whole), strict=True):
+            for (steps, returns), look in zip(pair, LOOKS, strict=True):
+                curves(ax, steps, returns, *look)
             ax.set_title(f"{steps[-1]:,} steps", loc="left")
         mine = {"color": "black", "lw": 1.4, "marker": "."}
         steps, returns = run.steps / 1_000, run.returns.mean(0)
@@ -189,20 +192,17 @@ def hoppers_learn(kept, long, falling, run, mode):
 
 def pays(said):
     """Return the table of what a step of life pays."""
-    trained = ("100,000 steps", "8,000 steps")
     return table(
         ("the imitator has", "a demonstrated step", "a step of its own"),
         [
             (
-                f"{name},<br>after {steps}",
+                name,
                 *(
                     f"{x.mean():+.1f}".replace("-", "−")
                     for x in both.values()
                 ),
             )
-            for (name, both), steps in zip(
-                said.items(), trained, strict=True
-            )
+            for name, both in said.items()
         ],
     )
 

@@ -187,25 +187,33 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
     return HTML(f'<div class="verdicts">{maze}{robots}</div>')
 
 
-def with_the_recipe(PAIRS, LABELS, of_demonstrations):
-    """Draw the returns of four robots, off-policy AIRL and DAC."""
+def with_the_recipe(
+    PAIRS, LABELS, percent, hundred="demonstrations", also=()
+):
+    """Draw the returns of four robots, off-policy AIRL and DAC.
+
+    `percent` gives one percent of the return of a robot's `hundred`.
+    `also` has a label, and for each robot a level in percent.
+    """
     colors = (plots.BLUE, plots.ORANGE)
+    names = [*zip(LABELS, colors, strict=True), (hundred, plots.EXPERT)]
+    names += [(label, plots.GREEN) for label, _ in also]
     with plots.style():
         _fig, axes = plt.subplots(
             2, 2, figsize=(5.4, 4.6), sharex=True, sharey=True
         )
         for ax, (robot, pair) in zip(axes.flat, PAIRS.items(), strict=True):
             for run, label, color in zip(pair, LABELS, colors, strict=True):
-                percent = run.returns / of_demonstrations(robot)
-                plots.curve(ax, run.steps / 1_000, percent, label, color)
+                returns = run.returns / percent(robot)
+                plots.curve(ax, run.steps / 1_000, returns, label, color)
             plots.level(ax, 100, "", plots.EXPERT)
+            for _, levels in also:
+                plots.level(ax, levels[robot], "", plots.GREEN)
             ax.set(title=robot)
         for ax in axes[1]:
             ax.set(xlabel="thousand steps")
         for ax in axes[:, 0]:
-            ax.set(ylabel="% of demonstrations")
-        names = [*zip(LABELS, colors, strict=True)]
-        names.append(("demonstrations", plots.EXPERT))
+            ax.set(ylabel=f"% of {hundred}")
         for i, (label, color) in enumerate(reversed(names)):
             axes[1, 0].text(
                 0.97,

@@ -322,8 +322,9 @@ def starts(counts):
     return _tables(
         (
             "After held steps all arrive but the gate alone.",
-            "Small networks, 8,000 steps. After fresh steps (3,000 from "
-            f"scratch, 100 otherwise) {fresh} of 20 arrive.",
+            "Small networks, five seeds, 8,000 steps, no guide. After "
+            "fresh steps (3,000 from scratch, 100 otherwise) "
+            f"{fresh} of 20 arrive.",
             table(("start", "after 3,000 held steps"), rows),
         )
     )
@@ -344,7 +345,7 @@ def guides(counts):
         (
             "An expert of the new maze is the best guide.",
             "The paper's networks, ten seeds, 40,000 steps, the first 100 "
-            "of them fresh.",
+            "fresh.",
             table(["guide", *heads], rows),
         )
     )
@@ -418,8 +419,8 @@ def where_rewards_lead(found, blamed, backwards):
     return _tables(
         (
             "After held steps: the reward decides.",
-            "Five rewards of each kind, two small policies on each, 8,000 "
-            "steps.",
+            "Small networks, five rewards of each kind, 8,000 steps, no "
+            "guide.",
             table([*heads, CAUGHT], held),
         ),
         (

@@ -22,35 +22,46 @@ FALLING = "hopper-none-demo/Hopper-released-fixed-short"
 def record():
     """Return curves, lengths of episodes, rewards, and a film's poses."""
     shown = demonstrations.load(TASK, experts=1)
+    runs = {
+        "with": _short("bootstrap", shown),
+        "without": _short("none", shown),
+    }
+    falling = records.read(RECORDS / FALLING)
+    episodes = rollout(falling.policy, TASK, falling.seeds, 10)
+    return {
+        "short": {
+            name: {"steps": run.steps, "returns": run.returns}
+            for name, run in runs.items()
+        },
+        "lengths": episodes.lengths,
+        "pays": {
+            name: _against_the_end(run, shown) for name, run in runs.items()
+        },
+        "film": {
+            "expert": _poses(demonstrations.expert(TASK).member(0)),
+            **{name: _poses(_median(run)) for name, run in runs.items()},
+        },
+        "demonstrations_that_fall": sum(n < 1_000 for n in shown.lengths),
+    }
+
+
+def _short(absorbing_state, shown):
+    """Return hoppers after 8,000 steps."""
     recipe = experiments.find("imitate").configs["demo"]
     config = recipe.change(
         env_id=TASK,
-        absorbing="bootstrap",
+        absorbing=absorbing_state,
         train_every=1_000,
         total_steps=8_000,
         eval_every=1_000,
         eval_episodes=3,
     )
-    short = train(config, SEEDS, shown, progress=False)
-    falling = records.read(RECORDS / FALLING)
-    median = [
-        int(run.returns[:, -1].argsort()[2]) for run in (short, falling)
-    ]
-    episodes = rollout(falling.policy, TASK, falling.seeds, 10)
-    return {
-        "short": {"steps": short.steps, "returns": short.returns},
-        "lengths": episodes.lengths,
-        "pays": {
-            "without": _against_the_end(falling, shown),
-            "with": _against_the_end(short, shown),
-        },
-        "film": {
-            "expert": _poses(demonstrations.expert(TASK).member(0)),
-            "with": _poses(short.policy.member(median[0])),
-            "without": _poses(falling.policy.member(median[1])),
-        },
-        "demonstrations_that_fall": sum(n < 1_000 for n in shown.lengths),
-    }
+    return train(config, SEEDS, shown, progress=False)
+
+
+def _median(run):
+    """Return the policy of the median seed of five."""
+    return run.policy.member(int(run.returns[:, -1].argsort()[2]))
 
 
 def _against_the_end(run, shown):
