@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 from figures import toys
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-WIDTH, FRAME, STEPS = 440, 80, 13
+WIDTH, FRAME, STEPS = 440, 80, 9
 """The page's pixels, a frame's milliseconds, the wall's squares."""
 STYLE = """
 body { margin: 0 }

@@ -40,9 +40,9 @@ def sac_loop():
 def soft_iteration(grid, values, iterates, errors):
     """Draw the value of a policy that improves."""
     every = np.arange(14 * 14).reshape(14, 14)[::2, ::2].ravel()
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         # Two columns, so that a phone can show the arrows.
-        fig, axes = plt.subplots(2, 2, figsize=(4.8, 5.9))
+        fig, axes = plt.subplots(2, 2, figsize=(6.0, 7.4))
         for k, ax in zip((0, 1, 2, 5), axes.flat, strict=True):
             image = plots.grid(ax, values[k], "Left")
             image.set_clim(-15, values.max())
@@ -55,16 +55,17 @@ def soft_iteration(grid, values, iterates, errors):
             ax.set_title(title)
         bare(axes)
         below = {"location": "bottom", "shrink": 0.7, "aspect": 25}
-        fig.colorbar(
+        bar = fig.colorbar(
             image, ax=axes, label="soft value", extend="min", **below
         )
+        bar.set_ticks([-15, -10, -5], labels=["−15", "−10", "−5"])
         plt.show()
 
 
 def temperatures(solutions, grid):
     """Draw where policies of several temperatures go."""
-    with plots.style():
-        fig, axes = plt.subplots(2, 2, figsize=(4.8, 5.5))
+    with plots.style(), plt.rc_context({"font.size": 13}):
+        fig, axes = plt.subplots(2, 2, figsize=(6.0, 6.9))
         for ax, alpha in zip(axes.flat, solutions, strict=True):
             visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
             share = visits.sum(1) / visits.sum()
@@ -82,9 +83,9 @@ def temperatures(solutions, grid):
 
 def squashed(CASES, normal, density_of, a):
     """Draw samples of squashed Gaussians and their density."""
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         both = {"sharex": True, "sharey": True}
-        _fig, axes = plt.subplots(2, 2, figsize=(4.8, 4.0), **both)
+        _fig, axes = plt.subplots(2, 2, figsize=(6.0, 5.0), **both)
         for ax, (mean, std) in zip(axes.flat, CASES, strict=True):
             x, density = (
                 torch.tanh(mean + std * normal),
@@ -105,9 +106,9 @@ def squashed(CASES, normal, density_of, a):
 
 def pendulum_curves(entropy, temperature, total, step, STEPS):
     """Draw return, entropy and temperature of the training."""
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         # The return above the other two, so that a phone can show them.
-        fig, axes = plt.subplot_mosaic("aa;bc", figsize=(4.8, 4.8))
+        fig, axes = plt.subplot_mosaic("aa;bc", figsize=(6.0, 6.0))
         fig.get_layout_engine().set(h_pad=0.1)
         axes = axes.values()
         names = ("return", "entropy (nats)", "temperature α")
@@ -204,9 +205,9 @@ def swing_up(sac, pendulum, act):
 def learners(curves):
     """Draw the returns of three learners."""
     colors = (plots.BLUE, plots.ORANGE, plots.RED)
-    with plots.style():
+    with plots.style(), plt.rc_context({"font.size": 13}):
         both = {"sharex": True, "sharey": True}
-        fig, axes = plt.subplots(3, 1, figsize=(4.8, 5.6), **both)
+        fig, axes = plt.subplots(3, 1, figsize=(6.0, 7.0), **both)
         for ax, color, name in zip(axes, colors, curves, strict=True):
             totals = curves[name]
             step = 0.2 * np.arange(1, totals.shape[1] + 1)
