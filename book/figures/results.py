@@ -95,6 +95,7 @@ SAYS = {
 LIMITS = {
     (6, CONFIRMED): "confirmed for a short warm-up and few steps",
     (7, UNDECIDED): "undecided, for arrivals",
+    (8, IN_PART): "confirmed in part, a hint",
 }
 """How far a verdict reaches, where that is not everywhere."""
 

@@ -273,6 +273,11 @@ def tails(STORIES):
     return tails
 
 
+def _called(WORDS, form):
+    """Return what the chapter calls what is paid."""
+    return "f alone" if form == "-learned" else WORDS[form]
+
+
 def crossed(WORDS, counted):
     """Return the table of seeds that arrive, by loop and tail."""
 
@@ -283,7 +288,7 @@ def crossed(WORDS, counted):
     def split(form):
         both, total = arrived[form], f"{sum(arrived[form])}"
         parts = " ({} + {})".format(*both) if any(both) else ""
-        return f"<i>{WORDS[form]}</i>: {total}{parts}"
+        return f"<i>{_called(WORDS, form)}</i>: {total}{parts}"
 
     arrived = {
         form: [int(count.removesuffix(" of 5")) for count in counts]
@@ -336,7 +341,8 @@ def isolate(FORMS, COLORS, final, last_q, shown, WORDS, counted):
                     ax.axhline(first - 0.5, color=plots.GREY, lw=1)
             first += size
         for ax in axes:
-            ax.set_yticks(range(len(FORMS)), [WORDS[x] for x in FORMS])
+            names = [_called(WORDS, form) for form in FORMS]
+            ax.set_yticks(range(len(FORMS)), names)
             ax.grid(False, axis="y")
         axes[0].set_ylim(len(FORMS) - 0.5, -0.5)
         key = [

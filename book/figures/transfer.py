@@ -313,19 +313,19 @@ def _dots(counts, size_of, end_of, arm):
 def starts(counts):
     """Return the table of how many seeds arrive, by start and warm-up."""
     names = "scratch", "old policy", "gate and primitives", "gate alone"
+    warm_ups = [(few, "-helped") for few in ("-fresh", "", "", "")]
     rows = [
-        (name, _dots(counts, SMALL, "-helped", arm))
-        for arm, name in enumerate(names)
+        (name, *(_dots(counts, SMALL, end, arm) for end in ends))
+        for arm, (name, ends) in enumerate(
+            zip(names, warm_ups, strict=True)
+        )
     ]
-    ends = ("-fresh", "", "", "")
-    fresh = sum(int(counts[SMALL][end][i]) for i, end in enumerate(ends))
     return _tables(
         (
             "After held steps all arrive but the gate alone.",
-            "Small networks, five seeds, 8,000 steps, no guide. After "
-            "fresh steps (3,000 from scratch, 100 otherwise) "
-            f"{fresh} of 20 arrive.",
-            table(("start", "after 3,000 held steps"), rows),
+            "Small networks, five seeds, 8,000 steps, no guide. Fresh: "
+            "3,000 steps from scratch, 100 otherwise. Held: 3,000.",
+            table(("start", "after fresh steps", "after held steps"), rows),
         )
     )
 
