@@ -289,7 +289,7 @@ def who_walks(ends):
 def how_well_they_walk(ends):
     """From scratch they walk nearly as well as on the true reward, and from
     the old policy at least as well."""
-    scratch, policy, raw, whole, dac, true = ends.values()
+    scratch, policy, raw, short, whole, dac, true = ends.values()
     middle = interquartile_mean(true)
     assert 0.85 < interquartile_mean(scratch) / middle < 0.92
     assert interquartile_mean(policy) > middle
@@ -300,7 +300,7 @@ def how_well_they_walk(ends):
         (true, 410, 690),
     ):
         assert low < found.min() < found.max() < high
-    assert max(whole.max(), dac.max()) < 40
+    assert max(short.max(), whole.max(), dac.max()) < 40
 
 
 @recorded
@@ -333,9 +333,18 @@ def a_larger_constant():
 
 @recorded
 def lengths_of_the_imitations(about):
-    """The rewards of the whole state were learned in 500,000 steps, and the
-    reward of the velocity in only 100,000."""
+    """A reward of the whole state and DAC's were learned in 500,000 steps,
+    the reward of the velocity and another of the whole state in 100,000,
+    with settings that differ in what the reward sees alone. Its imitators
+    return 46 to 90 % of what the demonstrations do."""
     assert about.steps[-1] == 100_000
+    whole = "decides-whole-demo/CustomAnt-released-fixed-short"
+    run = records.read(RECORDS / whole)
+    assert {*differences(about.config, run.config)} == {"reward_sees"}
+    noted = demonstrations.EXPERTS / "CustomAnt.json"
+    hundredth = records.read_json(noted)["demonstrated"][0] / 100
+    share = run.returns[:, -1] / hundredth
+    assert 46 < share.min() < share.max() < 90
     for method in ("airl", "dac"):
         run = records.read(RECORDS / f"locomotion-demo/CustomAnt-{method}")
         assert run.steps[-1] == 500_000

@@ -354,7 +354,7 @@ def what_a_reward_sees(GAINS, of_demonstrations):
     not; centring it makes no clear difference."""
     gains = GAINS["a reward of the velocity,\nnot of the whole state"]
     middle, low, _ = gains["DisabledAnt"]
-    assert 54 < middle < 55
+    assert 55 < middle < 56
     assert low > 0
     centred = GAINS["a centred reward,\nnot a raw one"]
     assert all(map(_unclear, centred.values()))

@@ -295,7 +295,7 @@ def choices(ROBOTS, PAIRS):
             ),
         },
         "a reward of the velocity,\nnot of the whole state": {
-            "DisabledAnt": (VELOCITY, "decides-transfer-demo/state/scratch")
+            "DisabledAnt": (VELOCITY, "decides-transfer-demo/whole/scratch")
         },
         "a centred reward,\nnot a raw one": {
             "DisabledAnt": (

@@ -76,7 +76,8 @@ MOVES = {
     "velocity, centred,\nfrom scratch": "velocity/scratch",
     "velocity, centred,\nfrom the old policy": "velocity/policy",
     "velocity, not centred,\nfrom scratch": "velocity-raw/scratch",
-    "whole state, centred,\nfrom scratch": "state/scratch",
+    "whole state, 100,000\nsteps, centred,\nfrom scratch": "whole/scratch",
+    "whole state, 500,000\nsteps, centred,\nfrom scratch": "state/scratch",
     "DAC's, centred,\nfrom scratch": "dac/scratch",
     "true reward,\nfrom scratch": "true/scratch",
 }
@@ -269,7 +270,7 @@ def what_each_sees():
 def ants(ends, of_experts):
     """Draw the returns of ants with two weak legs."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(5.0, 3.9))
+        _fig, ax = plt.subplots(figsize=(5.0, 4.9))
         for i, (name, end) in enumerate(ends.items()):
             color = plots.BLUE if "velocity" in name else plots.RED
             color = plots.GREY if "true" in name else color

@@ -126,6 +126,7 @@ VARIED = {
     "decides-upright-demo/3/CustomAnt-exact-one-short": {"reward"},
     "decides-transfer-demo/velocity/scratch": {"centre_reward"},
     "decides-transfer-demo/state/scratch": {"centre_reward"},
+    "decides-transfer-demo/whole/scratch": {"centre_reward"},
     "decides-transfer-demo/velocity/policy": {"centre_reward"},
     "decides-transfer-demo/dac/scratch": {"centre_reward"},
     "decides-transfer-demo/true/scratch": {"reward"},
