@@ -76,8 +76,8 @@ MOVES = {
     "velocity, centred,\nfrom scratch": "velocity/scratch",
     "velocity, centred,\nfrom the old policy": "velocity/policy",
     "velocity, not centred,\nfrom scratch": "velocity-raw/scratch",
-    "whole state, 100,000\nsteps, centred,\nfrom scratch": "whole/scratch",
-    "whole state, 500,000\nsteps, centred,\nfrom scratch": "state/scratch",
+    "whole state, centred, from\nscratch, 100,000 steps": "whole/scratch",
+    "whole state, centred, from\nscratch, 500,000 steps": "state/scratch",
     "DAC's, centred,\nfrom scratch": "dac/scratch",
     "true reward,\nfrom scratch": "true/scratch",
 }
@@ -270,7 +270,7 @@ def what_each_sees():
 def ants(ends, of_experts):
     """Draw the returns of ants with two weak legs."""
     with plots.style():
-        _fig, ax = plt.subplots(figsize=(5.0, 4.9))
+        _fig, ax = plt.subplots(figsize=(5.0, 4.4))
         for i, (name, end) in enumerate(ends.items()):
             color = plots.BLUE if "velocity" in name else plots.RED
             color = plots.GREY if "true" in name else color
