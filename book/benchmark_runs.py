@@ -26,6 +26,7 @@ from offairl_lite.analysis.statistics import (
     difference,
     interquartile_mean,
 )
+from offairl_lite.core.loop import Run
 from offairl_lite.runs import records
 
 Ends = Float64[np.ndarray, "seeds"]
@@ -182,6 +183,21 @@ def read() -> Cells:
                 cell["seconds"] / 3600,
             )
     return found
+
+
+def longer(
+    runs: Mapping[tuple[str, str, str], Path],
+) -> dict[str, list[Run]]:
+    """Return the longer runs of robots with both, the recipe's and DAC's."""
+    pairs = {
+        robot: [("4-long", robot, method) for method in ("airl", "dac")]
+        for robot in PLAN["4-long"]["airl"]
+    }
+    return {
+        robot: [records.read(runs[key]) for key in pair]
+        for robot, pair in pairs.items()
+        if {*pair} <= {*runs}
+    }
 
 
 def clones() -> dict[str, dict]:

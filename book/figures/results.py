@@ -191,7 +191,7 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
 def with_the_recipe(
     PAIRS, LABELS, percent, hundred="demonstrations", also=()
 ):
-    """Draw the returns of four robots, off-policy AIRL and DAC.
+    """Draw the returns on some robots, off-policy AIRL and DAC.
 
     `percent` gives one percent of the return of a robot's `hundred`.
     `also` has a label, and for each robot a level in percent.
@@ -199,9 +199,15 @@ def with_the_recipe(
     colors = (plots.BLUE, plots.ORANGE)
     names = [*zip(LABELS, colors, strict=True), (hundred, plots.EXPERT)]
     names += [(label, plots.GREEN) for label, _ in also]
+    rows = -(-len(PAIRS) // 2)
     with plots.style():
         _fig, axes = plt.subplots(
-            2, 2, figsize=(5.4, 4.6), sharex=True, sharey=True
+            rows,
+            2,
+            figsize=(5.4, 0.3 + 2.15 * rows),
+            sharex=True,
+            sharey=True,
+            squeeze=False,
         )
         for ax, (robot, pair) in zip(axes.flat, PAIRS.items(), strict=True):
             for run, label, color in zip(pair, LABELS, colors, strict=True):
@@ -211,18 +217,20 @@ def with_the_recipe(
             for _, levels in also:
                 plots.level(ax, levels[robot], "", plots.GREEN)
             ax.set(title=robot)
-        for ax in axes[1]:
+        for ax in axes[-1]:
             ax.set(xlabel="thousand steps")
         for ax in axes[:, 0]:
             ax.set(ylabel=f"% of {hundred}")
+        # In HalfCheetah's panel there is room for the key.
+        free = axes.flat[[*PAIRS].index("HalfCheetah")]
         for i, (label, color) in enumerate(reversed(names)):
-            axes[1, 0].text(
+            free.text(
                 0.97,
                 0.05 + 0.12 * i,
                 label,
                 color=color,
                 ha="right",
-                transform=axes[1, 0].transAxes,
+                transform=free.transAxes,
             )
         plt.show()
 
