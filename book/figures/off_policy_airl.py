@@ -251,7 +251,7 @@ def wall_moved(old_return, stuck, new, airl, scale):
 def five_seeds(imitation, expert, transfer, target):
     """Draw the returns of five recorded seeds."""
     with plots.style(), plt.rc_context(LARGE):
-        fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.6))
+        fig, axes = plt.subplots(2, 1, figsize=(4.8, 5.6), sharex=True)
         fig.get_layout_engine().set(h_pad=0.1)
         curves = (
             (

@@ -53,7 +53,11 @@ TOYS = {
     "corridor": Toy(
         [],
         "Guess first: which of the three rewards imitates both "
-        "experts? Then play. You can also turn the expert's arrows.",
+        "experts? Then play. You can also turn the expert's arrows. "
+        "(Moving dots: agents. Bars: their share of time in a room. Half a "
+        "room is green if a step to that side pays, red if it costs. An "
+        "arrow shows the likelier move; a dot in its place: both are "
+        "equally likely.)",
         "Seven rooms and a door on the right. Above, the expert walks out. "
         "Below, its imitator is paid for every step, and stays in front of "
         "the door.",
@@ -62,7 +66,9 @@ TOYS = {
         ["mazes"],
         "Guess: which steps settle, and which swing for ever? Play the "
         "game. Then give label 1 to the policy: it flees from the "
-        "expert, although it begins next to it.",
+        "expert, although it begins next to it. (Left, in violet: where "
+        "the policy goes. Right: violet where it goes too seldom and its "
+        "reward is too high, orange where it is the other way round.)",
         "A maze with the visits and the arrows of a policy, the same maze "
         "with the error of the reward, and below both errors as they fall "
         "from round to round.",
