@@ -188,7 +188,7 @@ def read() -> Cells:
 def longer(
     runs: Mapping[tuple[str, str, str], Path],
 ) -> dict[str, list[Run]]:
-    """Return the longer runs of robots with both, the recipe's and DAC's."""
+    """Return the longer runs of robots with both: the recipe, then DAC."""
     pairs = {
         robot: [("4-long", robot, method) for method in ("airl", "dac")]
         for robot in PLAN["4-long"]["airl"]
