@@ -8,9 +8,12 @@ import pytest
 from pybtex.database import parse_file
 from sphinx_external_toc.parsing import parse_toc_yaml
 
+from offairl_lite.config.settings import EARLIER
+
 ROOT = Path(__file__).parents[2]
 CHAPTERS = sorted((ROOT / "book").glob("*.ipynb"))
 NOTES = sorted((ROOT / "book/notes").glob("*.ipynb"))
+TEXTS = [ROOT / "README.md", *sorted((ROOT / "book").glob("*.md"))]
 
 
 def test_the_bibliography_can_be_read():
@@ -22,6 +25,13 @@ def test_the_bibliography_can_be_read():
 def test_every_chapter_and_note_is_in_the_table_of_contents():
     listed = {f"{page}.ipynb" for page in parse_toc_yaml(ROOT / "_toc.yml")}
     assert {path.relative_to(ROOT).as_posix() for path in CHAPTERS + NOTES} <= listed
+
+
+@pytest.mark.parametrize("path", CHAPTERS + NOTES + TEXTS, ids=lambda path: path.stem)
+def test_settings_are_called_what_they_are_called_now(path):
+    """Earlier names still work, with a warning, but no reader should meet one."""
+    words = re.findall(r"[a-z]+(?:[_-][a-z]+)+", path.read_text("utf-8"))
+    assert not {*EARLIER} & {word.replace("-", "_") for word in words}
 
 
 @pytest.mark.parametrize("path", CHAPTERS + NOTES, ids=lambda path: path.stem)
