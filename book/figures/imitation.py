@@ -255,7 +255,8 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             ax.bar(place, -share[:, LEFT], 0.4, color=paint)
         ax.axhline(0, color="black", lw=0.8)
         ended = [f"{100 * gone(p, steps):.0f} %" for p in (policy, teacher)]
-        ax.set_title("gone {} (expert {})".format(*ended), fontsize=10)
+        title = f"gone after {steps}: {{}} (expert {{}})"
+        ax.set_title(title.format(*ended), fontsize=9)
         ax.grid(False)
         ax.set(ylim=(-0.5, 0.5), xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
         ax.set_yticklabels(["left\n40 %", "0", "right\n40 %"])

@@ -943,7 +943,14 @@ def test_what_transfers():
         return f"| {settings} | {returns.min():.0f} to {returns.max():.0f} |"
 
     assert row(f"from scratch, {warm}, 10,000 random steps", velocity) in PAGE
-    assert row("SAC on the true reward ({doc}`chapter 10 <10_where_rewards_fail>`)", true) in PAGE
+    assert (
+        row(
+            "from scratch on the *true* reward, `--temperature None`, 10,000 random steps "
+            "({doc}`chapter 10 <10_where_rewards_fail>`)",
+            true,
+        )
+        in PAGE
+    )
     plain, short, cool, both = (
         records.read(RECORDS / f"decides-transfer-demo/velocity-{name}/scratch").returns[:, -1]
         for name in ("recipe-raw", "short", "cool", "recipe")
