@@ -221,6 +221,11 @@ def test_the_readme_has_the_benchmark_as_it_is(monkeypatch):
     cloned, learned = (f"{one}, {two} and {three}" for one, two, three in thinned)
     robots = "Hopper, Walker2d and HalfCheetah"
     assert f"it comes to {cloned} % on {robots}, and the recipe to {learned}." in text
+    long = [
+        f"{benchmark_runs.summary(cells['4-long', robot, 'airl'].ends).mean:.0f}"
+        for robot in ("Hopper", "HalfCheetah")
+    ]
+    assert "the recipe comes to {} % on Hopper and {} on HalfCheetah".format(*long) in text
 
 
 def test_who_is_ahead_with_some_of_the_cells(monkeypatch):
