@@ -255,7 +255,7 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             ax.bar(place, -share[:, LEFT], 0.4, color=paint)
         ax.axhline(0, color="black", lw=0.8)
         ended = [f"{100 * gone(p, steps):.0f} %" for p in (policy, teacher)]
-        title = f"gone after {steps}: {{}} (expert {{}})"
+        title = f"gone after {steps}:\n{{}} (expert {{}})"
         ax.set_title(title.format(*ended), fontsize=9)
         ax.grid(False)
         ax.set(ylim=(-0.5, 0.5), xticks=rooms + 1, yticks=[-0.4, 0, 0.4])
@@ -264,7 +264,7 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
     with plots.style():
         # Narrow, so that a phone can show its text.
         fig, axes = plt.subplots(
-            3, 2, figsize=(4.8, 5.4), sharex=True, sharey=True
+            3, 2, figsize=(4.8, 6.0), sharex=True, sharey=True
         )
         for row, name in zip(axes, REWARDS, strict=True):
             row[0].set_ylabel(_formula(name), color=COLORS[name])
