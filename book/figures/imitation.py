@@ -277,7 +277,7 @@ def games(REWARDS, rooms, occupancy, gone, EXPERTS, played):
             "ha": "center",
         }
         for ax, who in zip(axes[0], EXPERTS, strict=True):
-            ax.annotate(ABOUT[who], (0.5, 1), (0, 25), size=12, **above)
+            ax.annotate(ABOUT[who], (0.5, 1), (0, 36), size=12, **above)
         for ax in axes[-1]:
             ax.set_xlabel("room")
         fig.align_ylabels()
