@@ -96,6 +96,11 @@ def after_how_many_steps(FOUND):
     40,000. After 40,000 seven old policies have arrived (`who_arrives`)."""
     assert all("100k" in each.scale for each in FOUND[4])
     assert all("40k" in each.scale for each in FOUND[7] + FOUND[8][:3])
+    # The gates over four primitives, and over eight.
+    assert [each.scale.split("× ")[1] for each in FOUND[6]] == [
+        "30k",
+        "15k",
+    ]
 
 
 @recorded

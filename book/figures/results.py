@@ -189,16 +189,16 @@ def verdicts(VERDICTS, EVIDENCE, MAZES, ON_ROBOTS):
 
 
 def with_the_recipe(
-    PAIRS, LABELS, percent, hundred="demonstrations", also=()
+    PAIRS, LABELS, percent, hundred="demonstrations", clones=None
 ):
     """Draw the returns on some robots, off-policy AIRL and DAC.
 
     `percent` gives one percent of the return of a robot's `hundred`.
-    `also` has a label, and for each robot a level in percent.
+    `clones` has for each robot what clones return, in percent.
     """
     colors = (plots.BLUE, plots.ORANGE)
     names = [*zip(LABELS, colors, strict=True), (hundred, plots.EXPERT)]
-    names += [(label, plots.GREEN) for label, _ in also]
+    names += [("a clone", plots.GREEN)] if clones else []
     rows = -(-len(PAIRS) // 2)
     with plots.style():
         _fig, axes = plt.subplots(
@@ -214,8 +214,8 @@ def with_the_recipe(
                 returns = run.returns / percent(robot)
                 plots.curve(ax, run.steps / 1_000, returns, label, color)
             plots.level(ax, 100, "", plots.EXPERT)
-            for _, levels in also:
-                plots.level(ax, levels[robot], "", plots.GREEN)
+            if clones:
+                plots.level(ax, clones[robot], "", plots.GREEN)
             ax.set(title=robot)
         for ax in axes[-1]:
             ax.set(xlabel="thousand steps")

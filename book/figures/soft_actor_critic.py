@@ -1,5 +1,7 @@
 """The pictures, tables and the film of chapter 4."""
 
+from contextlib import contextmanager
+
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
@@ -9,6 +11,13 @@ from drawing import bare, diagram, film, table
 from offairl_lite import tabular
 from offairl_lite.runs import records
 from paper_figures import PAPER
+
+
+@contextmanager
+def _large_text():
+    """Figures that are drawn larger than shown, for text of the page's size."""
+    with plots.style(), plt.rc_context({"font.size": 13}):
+        yield
 
 
 def _shown(x):
@@ -40,7 +49,7 @@ def sac_loop():
 def soft_iteration(grid, values, iterates, errors):
     """Draw the value of a policy that improves."""
     every = np.arange(14 * 14).reshape(14, 14)[::2, ::2].ravel()
-    with plots.style(), plt.rc_context({"font.size": 13}):
+    with _large_text():
         # Two columns, so that a phone can show the arrows.
         fig, axes = plt.subplots(2, 2, figsize=(6.0, 7.4))
         for k, ax in zip((0, 1, 2, 5), axes.flat, strict=True):
@@ -64,7 +73,7 @@ def soft_iteration(grid, values, iterates, errors):
 
 def temperatures(solutions, grid):
     """Draw where policies of several temperatures go."""
-    with plots.style(), plt.rc_context({"font.size": 13}):
+    with _large_text():
         fig, axes = plt.subplots(2, 2, figsize=(6.0, 6.9))
         for ax, alpha in zip(axes.flat, solutions, strict=True):
             visits = tabular.occupancy(grid.mdp, solutions[alpha].policy)
@@ -83,7 +92,7 @@ def temperatures(solutions, grid):
 
 def squashed(CASES, normal, density_of, a):
     """Draw samples of squashed Gaussians and their density."""
-    with plots.style(), plt.rc_context({"font.size": 13}):
+    with _large_text():
         both = {"sharex": True, "sharey": True}
         _fig, axes = plt.subplots(2, 2, figsize=(6.0, 5.0), **both)
         for ax, (mean, std) in zip(axes.flat, CASES, strict=True):
@@ -106,7 +115,7 @@ def squashed(CASES, normal, density_of, a):
 
 def pendulum_curves(entropy, temperature, total, step, STEPS):
     """Draw return, entropy and temperature of the training."""
-    with plots.style(), plt.rc_context({"font.size": 13}):
+    with _large_text():
         # The return above the other two, so that a phone can show them.
         fig, axes = plt.subplot_mosaic("aa;bc", figsize=(6.0, 6.0))
         fig.get_layout_engine().set(h_pad=0.1)
@@ -205,7 +214,7 @@ def swing_up(sac, pendulum, act):
 def learners(curves):
     """Draw the returns of three learners."""
     colors = (plots.BLUE, plots.ORANGE, plots.RED)
-    with plots.style(), plt.rc_context({"font.size": 13}):
+    with _large_text():
         both = {"sharex": True, "sharey": True}
         fig, axes = plt.subplots(3, 1, figsize=(6.0, 7.0), **both)
         for ax, color, name in zip(axes, colors, curves, strict=True):

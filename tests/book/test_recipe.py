@@ -171,6 +171,16 @@ def test_what_is_said_of_cloning_is_the_benchmark_s(monkeypatch):
         assert (int(means[2]) > int(means[1])) == ("Ant" not in robot)
         returns = records.read_json(demonstrations.EXPERTS / f"{robot}.json")["returns"]
         assert max(returns) > returns[0]
+        # How the run compares with the larger clone, and with the one that it began from.
+        signs = {
+            "Hopper": (1, 1),
+            "Walker2d": (1, 0),
+            "HalfCheetah": (0, 0),
+            "CustomAnt": (-1, -1),
+            "Ant": (-1, -1),
+        }
+        leads = [difference(run, clone)[1:] for clone in columns[:2]]
+        assert signs[robot] == tuple((low > 0) - (high < 0) for low, high in leads)
     of_one = benchmark_runs.average(cells, "1", "clone")
     clones = " | ".join(f"{mean:.0f}" for mean in (of_one, four, ten, twenty, fifty))
     assert f"| a clone | {clones} |" in PAGE
@@ -353,6 +363,19 @@ def test_a_model_with_scaled_observations_demonstrates(minari_folder, sb3, tmp_p
         exec(code, {})
     exec(code.replace("at_least=-300", "at_least=-4000"), {})
     assert demonstrations.load("Pendulum-v1", 2, "own/scaled-v0").lengths == (200, 200)
+
+
+def test_a_reward_is_compared_on_two_recordings(tmp_path, monkeypatch, capsys):
+    """On the maze it pays the expert more than whoever stays at the start."""
+    obs = demonstrations.load("offairl/PointMazeLeft-v0", 1).transitions.obs
+    monkeypatch.chdir(tmp_path)
+    np.save("well.npy", obs.numpy())
+    np.save("badly.npy", np.tile(obs[0], (100, 1)))
+    code = block('np.load(f"{episode}.npy")')
+    code = code.replace("runs/arm", str(RECORDS / "maze-imitation-demo"))
+    exec(code.replace("Pendulum-v1", "offairl/PointMazeLeft-v0"), {})
+    well, badly = (float(line.split()[1]) for line in capsys.readouterr().out.splitlines())
+    assert well > badly
 
 
 def test_two_variants_teach_one_reward(minari_folder, own, tmp_path, monkeypatch):
