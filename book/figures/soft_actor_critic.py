@@ -15,7 +15,7 @@ from paper_figures import PAPER
 
 @contextmanager
 def _large_text():
-    """Figures that are drawn larger than shown, for text of the page's size."""
+    """Style figures that are drawn larger than they are shown."""
     with plots.style(), plt.rc_context({"font.size": 13}):
         yield
 
